@@ -1,0 +1,1 @@
+//! Triangles to a compiled file, in bounded memory: partition, cut, encode, write, seal.

@@ -1,0 +1,284 @@
+//! Every way in which the library can fail, with what, where and what to do.
+//!
+//! One enum per room, so that a caller can match on what it can handle; [`Error`] joins them for callers
+//! that only report.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::units::{BlockId, Bytes};
+
+/// The memory budget is too small for what was asked.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the memory budget of {limit} cannot hold {purpose}: {needed} needed, {available} left; raise the budget"
+)]
+pub struct BudgetError {
+    /// The part that asked.
+    pub purpose: &'static str,
+    /// What it asked for.
+    pub needed: Bytes,
+    /// What was left.
+    pub available: Bytes,
+    /// The whole budget.
+    pub limit: Bytes,
+}
+
+/// A block's bytes are not what they should be (I5). Offsets are from the start of the block.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("block {} is damaged at byte {offset}: {reason}; compile the model again or restore the file", block.0)]
+pub struct BlockError {
+    /// Which block.
+    pub block: BlockId,
+    /// Where in the block's stored bytes.
+    pub offset: u64,
+    /// What is wrong there.
+    pub reason: &'static str,
+}
+
+/// A compiled file's header, directory or material table is not what it should be.
+/// Offsets are from the start of the file.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ModelError {
+    /// Not a compiled file at all.
+    #[error(
+        "not a compiled outcrop file (it does not start with the outcrop signature); compile the model first"
+    )]
+    NotCompiled,
+    /// A version that this library does not read.
+    #[error(
+        "format version {found} is not supported (this library reads version {supported}); compile the model again"
+    )]
+    Version {
+        /// In the file.
+        found: u32,
+        /// By this library.
+        supported: u32,
+    },
+    /// Bytes that cannot be right.
+    #[error("the {part} is damaged at byte {offset}: {reason}; compile the model again or restore the file")]
+    Damaged {
+        /// Header, directory or materials.
+        part: &'static str,
+        /// Where in the file.
+        offset: u64,
+        /// What is wrong there.
+        reason: &'static str,
+    },
+}
+
+/// A block or a compiled file could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// The operating system (or a remote end) failed.
+    #[error("cannot read {what} of {name}: {error}")]
+    Io {
+        /// "the header", "block 17" and the like.
+        what: String,
+        /// The file or other origin.
+        name: String,
+        /// The cause.
+        error: io::Error,
+    },
+    /// The file ends before the bytes that were asked for.
+    #[error(
+        "{name} ends at byte {end} inside {what}; it was truncated after it was compiled: compile the model again"
+    )]
+    Truncated {
+        /// "the header", "block 17" and the like.
+        what: String,
+        /// The file or other origin.
+        name: String,
+        /// Where it ends.
+        end: u64,
+    },
+    /// No block has that number.
+    #[error("{name} has no block {}: it holds {count}", block.0)]
+    NoSuchBlock {
+        /// The number asked for.
+        block: BlockId,
+        /// The file or other origin.
+        name: String,
+        /// How many there are.
+        count: u32,
+    },
+    /// The file is not a valid compiled file.
+    #[error("{name}: {error}")]
+    Model {
+        /// The file or other origin.
+        name: String,
+        /// The cause.
+        error: ModelError,
+    },
+}
+
+/// A model file could not be imported.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    /// The operating system failed.
+    #[error("cannot read {}: {error}", path.display())]
+    Io {
+        /// The model file or a file that it names.
+        path: PathBuf,
+        /// The cause.
+        error: io::Error,
+    },
+    /// A text file has a line that means nothing.
+    #[error("{}:{line}: {reason}", path.display())]
+    Line {
+        /// The model file or a file that it names.
+        path: PathBuf,
+        /// Counted from 1.
+        line: u64,
+        /// What is wrong there.
+        reason: String,
+    },
+    /// A binary file has bytes that mean nothing.
+    #[error("{} at byte {offset}: {reason}", path.display())]
+    Byte {
+        /// The model file.
+        path: PathBuf,
+        /// Counted from 0, after decompression for `.gz`.
+        offset: u64,
+        /// What is wrong there.
+        reason: String,
+    },
+    /// The file's kind is not known.
+    #[error("{}: unknown kind of model file; known are .obj, .ply and .stl, each also as .gz", path.display())]
+    UnknownKind {
+        /// The model file.
+        path: PathBuf,
+    },
+    /// The receiver of the geometry failed.
+    #[error(transparent)]
+    Sink(Box<CompileError>),
+}
+
+/// A compile could not be finished. No file that opens is left behind.
+#[derive(Debug, thiserror::Error)]
+pub enum CompileError {
+    /// The source could not be imported.
+    #[error(transparent)]
+    Import(#[from] ImportError),
+    /// Writing the compiled file or the spill beside it failed.
+    #[error("cannot write {}: {error}; free some space or choose another place for the output", path.display())]
+    Write {
+        /// The file that was being written.
+        path: PathBuf,
+        /// The cause (`StorageFull` for a full disk).
+        error: io::Error,
+    },
+    /// The budget is too small.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+    /// A coordinate is NaN or infinite.
+    #[error(
+        "triangle {triangle} has a coordinate that is not finite; correct the model or choose to skip such triangles"
+    )]
+    NotFinite {
+        /// Ordinal of the triangle in the source.
+        triangle: u64,
+    },
+    /// The model has no triangles.
+    #[error("the model has no triangles")]
+    Empty,
+    /// The geometry does not fit the chosen precision or the format's limits.
+    #[error("{reason}")]
+    Limit {
+        /// Which limit, and what to do.
+        reason: String,
+    },
+    /// The caller's callback asked to stop.
+    #[error("the compile was cancelled")]
+    Cancelled,
+}
+
+/// A missing block could not be brought in.
+#[derive(Debug, thiserror::Error)]
+pub enum LoadError {
+    /// Its bytes could not be read.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// Its bytes are damaged.
+    #[error(transparent)]
+    Block(#[from] BlockError),
+    /// The cache has no slot to give: every slot is pinned.
+    #[error("all {slots} cache slots are pinned; raise the memory budget or lower the thread count")]
+    NoSlot {
+        /// How many there are.
+        slots: u32,
+    },
+}
+
+/// A query or an octree could not be set up or answered.
+#[derive(Debug, thiserror::Error)]
+pub enum TraceError {
+    /// A block that a ray reached could not be brought in. The results of the call are not to be used.
+    #[error(transparent)]
+    Load(#[from] LoadError),
+    /// The budget is too small.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+    /// A ray has a component that is not finite, a zero direction, or `t_min` outside `0 ..= t_max`.
+    #[error("ray {index} is not valid: {reason}")]
+    InvalidRay {
+        /// Index in the slice that was passed.
+        index: usize,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+}
+
+/// A picture could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// A query failed.
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+    /// The budget is too small.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+    /// A setting that makes no sense.
+    #[error("{what}: {reason}")]
+    Setting {
+        /// Which setting.
+        what: &'static str,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The image file could not be written.
+    #[error("cannot write {}: {error}", path.display())]
+    Write {
+        /// The image file.
+        path: PathBuf,
+        /// The cause.
+        error: io::Error,
+    },
+    /// The caller asked to stop.
+    #[error("the render was cancelled")]
+    Cancelled,
+}
+
+/// Any failure of the library.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// See [`BudgetError`].
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+    /// See [`ImportError`].
+    #[error(transparent)]
+    Import(#[from] ImportError),
+    /// See [`CompileError`].
+    #[error(transparent)]
+    Compile(#[from] CompileError),
+    /// See [`SourceError`].
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// See [`TraceError`].
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+    /// See [`RenderError`].
+    #[error(transparent)]
+    Render(#[from] RenderError),
+}

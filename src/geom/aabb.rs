@@ -1,0 +1,51 @@
+//! Axis-aligned boxes with exact f64 bounds.
+
+/// A closed axis-aligned box. The empty box has `min = +inf`, `max = -inf`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Lowest corner.
+    pub min: [f64; 3],
+    /// Highest corner.
+    pub max: [f64; 3],
+}
+
+impl Aabb {
+    /// The box that holds nothing.
+    pub const EMPTY: Aabb = Aabb { min: [f64::INFINITY; 3], max: [f64::NEG_INFINITY; 3] };
+
+    /// Grows the box to hold `point` (components must not be NaN).
+    pub fn grow(&mut self, point: [f64; 3]) {
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(point[axis]);
+            self.max[axis] = self.max[axis].max(point[axis]);
+        }
+    }
+
+    /// Grows the box to hold `other`.
+    pub fn merge(&mut self, other: &Aabb) {
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(other.min[axis]);
+            self.max[axis] = self.max[axis].max(other.max[axis]);
+        }
+    }
+
+    /// Whether the box holds nothing.
+    pub fn is_empty(&self) -> bool {
+        (0..3).any(|axis| self.min[axis] > self.max[axis])
+    }
+
+    /// Edge lengths; negative or NaN for the empty box.
+    pub fn extent(&self) -> [f64; 3] {
+        [self.max[0] - self.min[0], self.max[1] - self.min[1], self.max[2] - self.min[2]]
+    }
+
+    /// The middle, rounded.
+    pub fn center(&self) -> [f64; 3] {
+        [0, 1, 2].map(|axis| 0.5 * self.min[axis] + 0.5 * self.max[axis])
+    }
+
+    /// Whether `other` lies inside this box, borders included.
+    pub fn contains(&self, other: &Aabb) -> bool {
+        (0..3).all(|axis| self.min[axis] <= other.min[axis] && other.max[axis] <= self.max[axis])
+    }
+}

@@ -1,0 +1,58 @@
+//! Where a reader, a generator or a caller's iterator sends geometry.
+
+use crate::error::CompileError;
+use crate::model::MaterialRecord;
+use crate::units::MaterialId;
+
+/// A run of vertices in the source's own number type, so that nothing is rounded on the way.
+#[derive(Clone, Copy, Debug)]
+pub enum VertexBatch<'a> {
+    /// From binary f32 (or narrower) sources.
+    Float32(&'a [[f32; 3]]),
+    /// From text and f64 sources.
+    Float64(&'a [[f64; 3]]),
+}
+
+/// Receives an indexed mesh as a stream. Vertices are numbered from 0 in the order in which they come; a face
+/// names vertices that have come already. Triangles get ids in the order in which they come. Batches may have
+/// any length; long ones (thousands) are faster.
+pub trait MeshSink {
+    /// Adds a material and returns its id. Names need not be unique; each call adds an entry.
+    ///
+    /// # Errors
+    /// More than 65,536 materials.
+    fn material(&mut self, material: MaterialRecord) -> Result<MaterialId, CompileError>;
+
+    /// Appends vertices.
+    ///
+    /// # Errors
+    /// Spill cannot be written, the budget is exhausted, or the caller cancelled.
+    fn vertices(&mut self, batch: VertexBatch<'_>) -> Result<(), CompileError>;
+
+    /// Says that no vertex will come after this. Optional; lets the sink place triangles while they arrive.
+    ///
+    /// # Errors
+    /// As for [`MeshSink::vertices`].
+    fn vertices_complete(&mut self) -> Result<(), CompileError>;
+
+    /// The position of a vertex that has come already, for readers that cut concave polygons.
+    ///
+    /// # Errors
+    /// Spill cannot be read.
+    fn position(&mut self, vertex: u64) -> Result<[f64; 3], CompileError>;
+
+    /// Appends triangles of one material, each naming vertices that have come already.
+    ///
+    /// # Errors
+    /// A vertex that has not come yet ([`CompileError::Limit`]), or as for [`MeshSink::vertices`].
+    fn triangles(&mut self, triangles: &[[u32; 3]], material: MaterialId) -> Result<(), CompileError>;
+
+    /// Tells how far the reader is (bytes of the source consumed, and its size if known) and asks whether to go on.
+    ///
+    /// # Errors
+    /// [`CompileError::Cancelled`].
+    fn progress(&mut self, consumed_bytes: u64, total_bytes: Option<u64>) -> Result<(), CompileError> {
+        let _ = (consumed_bytes, total_bytes);
+        Ok(())
+    }
+}

@@ -1,0 +1,1 @@
+//! Procedural models that examples, tests and benches share.

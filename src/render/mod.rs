@@ -1,0 +1,1 @@
+//! Shading, sampling, film; tiles to image; progress, cancel, partial image.

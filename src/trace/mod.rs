@@ -1,0 +1,1 @@
+//! Queries: closest hit and any hit, for streams of rays.
