@@ -1,0 +1,91 @@
+//! A thin layer over `lexopt`: values with messages that say which option is wrong and why.
+
+use std::error::Error;
+use std::ffi::OsString;
+use std::fmt::Display;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::str::FromStr;
+
+/// The command line, read one option at a time.
+pub struct Arguments {
+    parser: lexopt::Parser,
+    option: String,
+}
+
+/// One item of the command line.
+pub enum Argument {
+    /// `-o` or `--output`, with its dashes.
+    Option(String),
+    /// Anything else.
+    Positional(PathBuf),
+}
+
+impl Arguments {
+    /// The arguments of this process.
+    pub fn from_env() -> Arguments {
+        Arguments { parser: lexopt::Parser::from_env(), option: String::new() }
+    }
+
+    /// The next option or positional argument.
+    pub fn next(&mut self) -> Result<Option<Argument>, Box<dyn Error>> {
+        Ok(match self.parser.next()? {
+            Some(lexopt::Arg::Short(c)) => Some(self.named(format!("-{c}"))),
+            Some(lexopt::Arg::Long(name)) => {
+                let name = format!("--{name}");
+                Some(self.named(name))
+            }
+            Some(lexopt::Arg::Value(value)) => Some(Argument::Positional(value.into())),
+            None => None,
+        })
+    }
+
+    fn named(&mut self, name: String) -> Argument {
+        self.option = name.clone();
+        Argument::Option(name)
+    }
+
+    /// The value of the option that came last, as text.
+    pub fn text(&mut self) -> Result<String, Box<dyn Error>> {
+        let option = self.option.clone();
+        self.raw()?.into_string().map_err(|_| format!("{option}: not valid Unicode").into())
+    }
+
+    /// The value of the option that came last, as a path.
+    pub fn path(&mut self) -> Result<PathBuf, Box<dyn Error>> {
+        self.raw().map(PathBuf::from)
+    }
+
+    /// The value of the option that came last.
+    pub fn value<T: FromStr<Err: Display>>(&mut self) -> Result<T, Box<dyn Error>> {
+        let text = self.text()?;
+        text.parse().map_err(|error| format!("{} {text}: {error}", self.option).into())
+    }
+
+    /// The value of the option that came last: numbers with commas between them.
+    pub fn numbers<const COUNT: usize>(&mut self) -> Result<[f64; COUNT], Box<dyn Error>> {
+        let text = self.text()?;
+        let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        numbers
+            .and_then(|numbers| <[f64; COUNT]>::try_from(numbers).ok())
+            .filter(|numbers| numbers.iter().all(|x| x.is_finite()))
+            .ok_or_else(|| {
+                format!("{} {text}: expected {COUNT} numbers with commas between", self.option).into()
+            })
+    }
+
+    fn raw(&mut self) -> Result<OsString, Box<dyn Error>> {
+        self.parser.value().map_err(|_| format!("{}: a value is missing", self.option).into())
+    }
+}
+
+/// Runs `main` and turns an error into a message and exit code 1.
+pub fn run(main: impl FnOnce(Arguments) -> Result<ExitCode, Box<dyn Error>>) -> ExitCode {
+    match main(Arguments::from_env()) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

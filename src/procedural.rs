@@ -1,1 +1,0 @@
-//! Procedural models that examples, tests and benches share.
