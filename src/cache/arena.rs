@@ -1,0 +1,221 @@
+//! The slots' memory and the words that say who may touch it: the only unsafe code of the cache.
+//!
+//! At any time the right to a slot's bytes is in exactly one place: a [`FreeSlot`], a [`Loading`], or the word of the
+//! ready block that is in it. The first two are values that cannot be copied, so holding one is an exclusive right.
+//! From a ready word come shared rights, one per pin, and while there is a pin, T6 cannot turn the word back into a
+//! [`FreeSlot`]. Transitions are numbered in [`Word`].
+
+use std::alloc::{Layout, alloc_zeroed, dealloc};
+use std::ptr::NonNull;
+use std::sync::atomic::Ordering;
+
+use crate::units::BlockId;
+
+use super::shim::{AtomicWord, Primitives};
+use super::word::{Phase, Word};
+
+/// Alignment of every slot: a cache line, and the widest vector load.
+pub(super) const SLOT_ALIGNMENT: usize = 64;
+
+/// All slots in one piece of memory, and one word per block.
+pub(super) struct Arena<S: Primitives> {
+    memory: NonNull<u8>,
+    layout: Layout,
+    first_slot: NonNull<u8>,
+    slot_bytes: usize,
+    slot_count: u32,
+    words: Box<[S::Word]>,
+}
+
+// SAFETY: the arena owns `memory` (nothing else keeps a pointer to it), and what may be done with the bytes behind it
+// from any thread is decided by values of this module and by the words, as the module's text says.
+unsafe impl<S: Primitives> Send for Arena<S> {}
+// SAFETY: as above.
+unsafe impl<S: Primitives> Sync for Arena<S> {}
+
+/// The exclusive right to the bytes of a slot that holds no block.
+#[derive(Debug)]
+pub(super) struct FreeSlot {
+    index: u32,
+    /// Address of the first slot of the arena that it belongs to.
+    home: usize,
+}
+
+impl FreeSlot {
+    pub(super) fn index(&self) -> u32 {
+        self.index
+    }
+}
+
+impl<S: Primitives> Arena<S> {
+    /// Bytes that [`Arena::new`] allocates, or `None` if no machine has so many.
+    pub(super) fn footprint(slot_count: u32, slot_bytes: usize, block_count: u32) -> Option<u64> {
+        let words = u64::from(block_count).checked_mul(size_of::<S::Word>() as u64)?;
+        (Self::layout(slot_count, slot_bytes)?.size() as u64).checked_add(words)
+    }
+
+    /// The allocation is asked for with a small alignment, and the first slot aligned by hand: an allocation that is
+    /// both zeroed and strongly aligned would be zeroed by writing to it, which commits every page, while this one
+    /// comes from the operating system as zero pages that cost nothing until they are used.
+    fn layout(slot_count: u32, slot_bytes: usize) -> Option<Layout> {
+        let slots = (slot_count as usize).checked_mul(slot_bytes)?;
+        Layout::from_size_align(slots.checked_add(SLOT_ALIGNMENT)?, 1).ok()
+    }
+
+    /// All slots free and all blocks absent, or `None` if the memory cannot be had. `slot_bytes` is a multiple of
+    /// [`SLOT_ALIGNMENT`].
+    pub(super) fn new(
+        slot_count: u32,
+        slot_bytes: usize,
+        block_count: u32,
+    ) -> Option<(Arena<S>, Vec<FreeSlot>)> {
+        assert!(slot_bytes.is_multiple_of(SLOT_ALIGNMENT));
+        let layout = Self::layout(slot_count, slot_bytes)?;
+        // SAFETY: the size is at least SLOT_ALIGNMENT, so not zero.
+        let memory = NonNull::new(unsafe { alloc_zeroed(layout) })?;
+        let padding = memory.align_offset(SLOT_ALIGNMENT);
+        assert!(padding < SLOT_ALIGNMENT);
+        // SAFETY: `padding` is below SLOT_ALIGNMENT, which the allocation has beyond the slots.
+        let first_slot = unsafe { memory.add(padding) };
+        let words = (0..block_count).map(|_| S::Word::new(Word::ABSENT.0)).collect();
+        let home = first_slot.addr().get();
+        let free = (0..slot_count).rev().map(|index| FreeSlot { index, home }).collect();
+        Some((Arena { memory, layout, first_slot, slot_bytes, slot_count, words }, free))
+    }
+
+    pub(super) fn slot_bytes(&self) -> usize {
+        self.slot_bytes
+    }
+
+    pub(super) fn block_count(&self) -> usize {
+        self.words.len()
+    }
+
+    fn word(&self, block: BlockId) -> &S::Word {
+        &self.words[block.0 as usize]
+    }
+
+    /// The word of `block`, out of date as soon as it is read unless the table's lock keeps it. `SeqCst` for
+    /// [`Arena::evict`]'s sake: see there.
+    pub(super) fn peek(&self, block: BlockId) -> Word {
+        Word(self.word(block).load(Ordering::SeqCst))
+    }
+
+    /// Where a slot starts.
+    fn slot(&self, index: u32) -> NonNull<u8> {
+        assert!(index < self.slot_count);
+        // SAFETY: the allocation holds `slot_count` slots from `first_slot` on, and `index` is below that.
+        unsafe { self.first_slot.add(index as usize * self.slot_bytes) }
+    }
+
+    /// T1: `block`, which must be absent, will be loaded into `slot`. Under the table's lock.
+    pub(super) fn claim(&self, block: BlockId, slot: FreeSlot) -> Loading<'_, S> {
+        assert_eq!(slot.home, self.first_slot.addr().get(), "a slot of another arena");
+        // Acquire is not needed: whoever gave the slot up has handed it over by T6 or under the lock. An absent word
+        // changes by T1 only, so nothing can come between load and store while the lock is held.
+        let word = Word::loading(slot.index);
+        let before =
+            self.word(block).compare_exchange(Word::ABSENT.0, word.0, Ordering::Relaxed, Ordering::Relaxed);
+        assert!(before.is_ok(), "block {} is claimed twice", block.0);
+        Loading { arena: self, block, slot }
+    }
+
+    /// T4: pins `block` if it is ready. The one atomic read-modify-write of a hit (more only if threads collide).
+    ///
+    /// # Panics
+    /// If it has 2^30 - 1 pins: somebody forgets them instead of dropping them.
+    pub(super) fn pin(&self, block: BlockId) -> Option<(u32, &[u8])> {
+        let word = self.word(block);
+        let mut seen = Word(word.load(Ordering::Relaxed));
+        loop {
+            if seen.phase() != Phase::Ready {
+                return None;
+            }
+            assert!(seen.pins() < Word::PINS_MAX, "too many pins of block {}", block.0);
+            let pinned = seen.0 + Word::ONE_PIN;
+            // Acquire: pairs with the Release of T2, so that the filled bytes are seen.
+            match word.compare_exchange(seen.0, pinned, Ordering::Acquire, Ordering::Relaxed) {
+                Ok(_) => return Some((seen.slot(), self.pinned_bytes(seen.slot()))),
+                Err(now) => seen = Word(now),
+            }
+        }
+    }
+
+    /// The bytes of a slot whose block the caller has just pinned.
+    fn pinned_bytes(&self, slot: u32) -> &[u8] {
+        // SAFETY: the range is inside the allocation and initialised (zeroed at first). The block in the slot is ready
+        // and has the caller's pin, so no FreeSlot and no Loading of this slot exists until the pin is given back (T6
+        // needs 0 pins), and only those give `&mut`. Callers hand the bytes out through `Pin` only, which lends them for
+        // no longer than it lives.
+        unsafe { std::slice::from_raw_parts(self.slot(slot).as_ptr(), self.slot_bytes) }
+    }
+
+    /// T5: gives back a pin; whether it was the last. Called by the owner of a pin only.
+    pub(super) fn unpin(&self, block: BlockId) -> bool {
+        // Release: what was read through the pin is read before T6 gives the slot away. SeqCst: see `evict`.
+        let before = Word(self.word(block).fetch_sub(Word::ONE_PIN, Ordering::SeqCst));
+        debug_assert!(before.phase() == Phase::Ready && before.pins() > 0);
+        before.pins() == 1
+    }
+
+    /// T6: takes `slot` from `block` if it is ready there and not pinned. Under the table's lock.
+    ///
+    /// SeqCst throughout T5 and T6, because a thread that finds every slot pinned relies on this order: it announces
+    /// itself, then looks at the words; a thread that gives a pin back changes the word, then looks for announcements.
+    /// One of the two must see the other.
+    pub(super) fn evict(&self, block: BlockId, slot: u32) -> Option<FreeSlot> {
+        let idle = Word::ready(slot, 0).0;
+        // Acquire (part of SeqCst): pairs with the Release of every T5 before it, as they are one release sequence.
+        self.word(block)
+            .compare_exchange(idle, Word::ABSENT.0, Ordering::SeqCst, Ordering::SeqCst)
+            .ok()
+            .map(|_| FreeSlot { index: slot, home: self.first_slot.addr().get() })
+    }
+}
+
+impl<S: Primitives> Drop for Arena<S> {
+    fn drop(&mut self) {
+        // SAFETY: allocated in `new` with this layout; nothing borrows from the arena any more.
+        unsafe { dealloc(self.memory.as_ptr(), self.layout) };
+    }
+}
+
+/// A block on its way in: the exclusive right to its slot's bytes. If this is dropped without
+/// [`Loading::publish`] or [`Loading::abandon`], the block stays in the loading phase and the slot is lost.
+pub(super) struct Loading<'a, S: Primitives> {
+    arena: &'a Arena<S>,
+    block: BlockId,
+    slot: FreeSlot,
+}
+
+impl<'a, S: Primitives> Loading<'a, S> {
+    pub(super) fn block(&self) -> BlockId {
+        self.block
+    }
+
+    pub(super) fn slot(&self) -> u32 {
+        self.slot.index
+    }
+
+    /// The slot, to be filled.
+    pub(super) fn bytes_mut(&mut self) -> &mut [u8] {
+        // SAFETY: the range is inside the allocation and initialised (zeroed at first). `self` holds the slot's FreeSlot,
+        // so no other value gives access to these bytes: the block is not ready, so nobody can pin it.
+        unsafe {
+            std::slice::from_raw_parts_mut(self.arena.slot(self.slot.index).as_ptr(), self.arena.slot_bytes)
+        }
+    }
+
+    /// T2: the block is ready, with one pin for the caller. Under the table's lock.
+    pub(super) fn publish(self) -> &'a [u8] {
+        // Release: whoever sees the word as ready sees the filled bytes.
+        self.arena.word(self.block).store(Word::ready(self.slot.index, 1).0, Ordering::Release);
+        self.arena.pinned_bytes(self.slot.index)
+    }
+
+    /// T3: the block is absent again. Under the table's lock.
+    pub(super) fn abandon(self) -> FreeSlot {
+        self.arena.word(self.block).store(Word::ABSENT.0, Ordering::Relaxed);
+        self.slot
+    }
+}
