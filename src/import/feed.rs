@@ -1,0 +1,241 @@
+//! Collects vertices and triangles into batches and sends them on in an order that the sink accepts.
+
+use super::report::ImportReport;
+use super::sink::{MeshSink, VertexBatch};
+use crate::error::ImportError;
+use crate::model::MaterialRecord;
+use crate::units::MaterialId;
+
+/// Vertices or triangles in one batch.
+pub(super) const BATCH_COUNT: usize = 32 * 1024;
+
+/// Source bytes between two calls of `MeshSink::progress`.
+const PROGRESS_BYTES: u64 = 4 << 20;
+
+/// Sends geometry to a sink in batches. A vertex is always sent before the triangles that name it.
+pub(super) struct Feed<'a> {
+    sink: &'a mut dyn MeshSink,
+    /// Not yet sent; at most one of `singles` and `doubles` is not empty.
+    singles: Vec<[f32; 3]>,
+    doubles: Vec<[f64; 3]>,
+    /// The batch of doubles sent last: polygons mostly name vertices that came just before them.
+    recent: Vec<[f64; 3]>,
+    /// Index of the first vertex of `recent`; those of the unsent batch follow on `sent_vertices`.
+    recent_start: u64,
+    sent_vertices: u64,
+    /// Not yet sent, all of `material`.
+    triangles: Vec<[u32; 3]>,
+    material: Option<MaterialId>,
+    default_material: Option<MaterialId>,
+    last_progress: u64,
+    /// What is reported in the end.
+    pub(super) report: ImportReport,
+}
+
+/// Wraps an error of the sink.
+fn sink_error(error: crate::error::CompileError) -> ImportError {
+    ImportError::Sink(Box::new(error))
+}
+
+impl<'a> Feed<'a> {
+    /// An empty feed in front of `sink`, with all its buffers.
+    pub(super) fn new(sink: &'a mut dyn MeshSink) -> Feed<'a> {
+        Feed {
+            sink,
+            singles: Vec::new(),
+            doubles: Vec::new(),
+            recent: Vec::new(),
+            recent_start: 0,
+            sent_vertices: 0,
+            triangles: Vec::with_capacity(BATCH_COUNT),
+            material: None,
+            default_material: None,
+            last_progress: 0,
+            report: ImportReport::default(),
+        }
+    }
+
+    /// Vertices that have come so far, sent or not.
+    pub(super) fn vertex_count(&self) -> u64 {
+        self.sent_vertices + (self.singles.len() + self.doubles.len()) as u64
+    }
+
+    /// Appends a vertex.
+    #[inline]
+    pub(super) fn vertex64(&mut self, position: [f64; 3]) -> Result<(), ImportError> {
+        if self.doubles.len() == self.doubles.capacity() || !self.singles.is_empty() {
+            self.make_room64()?;
+        }
+        self.doubles.push(position);
+        Ok(())
+    }
+
+    /// Appends a vertex.
+    #[inline]
+    pub(super) fn vertex32(&mut self, position: [f32; 3]) -> Result<(), ImportError> {
+        if self.singles.len() == self.singles.capacity() || !self.doubles.is_empty() {
+            self.make_room32()?;
+        }
+        self.singles.push(position);
+        Ok(())
+    }
+
+    #[cold]
+    fn make_room64(&mut self) -> Result<(), ImportError> {
+        self.send_vertices()?;
+        if self.doubles.capacity() == 0 {
+            self.doubles.reserve_exact(BATCH_COUNT);
+            self.recent.reserve_exact(BATCH_COUNT);
+        }
+        Ok(())
+    }
+
+    #[cold]
+    fn make_room32(&mut self) -> Result<(), ImportError> {
+        self.send_vertices()?;
+        self.singles.reserve_exact(BATCH_COUNT);
+        Ok(())
+    }
+
+    /// The batch of f32 vertices, with room for at least one more, for readers that fill it in bulk up to its
+    /// capacity.
+    pub(super) fn singles_with_room(&mut self) -> Result<&mut Vec<[f32; 3]>, ImportError> {
+        if self.singles.len() == self.singles.capacity() || !self.doubles.is_empty() {
+            self.make_room32()?;
+        }
+        Ok(&mut self.singles)
+    }
+
+    /// Appends a triangle of the current material. Its vertices have come already.
+    #[inline]
+    pub(super) fn triangle(&mut self, triangle: [u32; 3]) -> Result<(), ImportError> {
+        if self.triangles.len() == BATCH_COUNT {
+            self.send_triangles()?;
+        }
+        self.triangles.push(triangle);
+        Ok(())
+    }
+
+    /// Appends a face of any number of corners, cut into triangles. Its vertices have come already.
+    pub(super) fn face(&mut self, corners: &[u32]) -> Result<(), ImportError> {
+        if let [a, b, c] = *corners {
+            return self.triangle([a, b, c]);
+        }
+        if corners.len() < 3 {
+            self.report.degenerate_faces += 1;
+            return Ok(());
+        }
+        self.report.polygons += 1;
+        for pair in corners[1..].windows(2) {
+            self.triangle([corners[0], pair[0], pair[1]])?;
+        }
+        Ok(())
+    }
+
+    /// The batch of triangles, with room for at least one more, for readers that fill it in bulk up to
+    /// [`BATCH_COUNT`].
+    pub(super) fn triangles_with_room(&mut self) -> Result<&mut Vec<[u32; 3]>, ImportError> {
+        if self.triangles.len() == BATCH_COUNT {
+            self.send_triangles()?;
+        }
+        Ok(&mut self.triangles)
+    }
+
+    /// Adds a material to the sink.
+    pub(super) fn add_material(&mut self, material: MaterialRecord) -> Result<MaterialId, ImportError> {
+        let id = self.sink.material(material).map_err(sink_error)?;
+        self.report.materials += 1;
+        Ok(id)
+    }
+
+    /// The material of the triangles that come from here on; `None` for the default one.
+    pub(super) fn set_material(&mut self, material: Option<MaterialId>) -> Result<(), ImportError> {
+        if material != self.material {
+            self.send_triangles()?;
+            self.material = material;
+        }
+        Ok(())
+    }
+
+    /// Position of a vertex that has come already.
+    pub(super) fn position(&mut self, vertex: u32) -> Result<[f64; 3], ImportError> {
+        let vertex = u64::from(vertex);
+        if let Some(unsent) = vertex.checked_sub(self.sent_vertices) {
+            let unsent = unsent as usize;
+            return Ok(match self.doubles.get(unsent) {
+                Some(position) => *position,
+                None => self.singles[unsent].map(f64::from),
+            });
+        }
+        if let Some(recent) = vertex.checked_sub(self.recent_start)
+            && let Some(position) = self.recent.get(recent as usize)
+        {
+            return Ok(*position);
+        }
+        self.sink.position(vertex).map_err(sink_error)
+    }
+
+    /// Sends the unsent vertices. Safe at any time: triangles wait longer than vertices, never shorter.
+    fn send_vertices(&mut self) -> Result<(), ImportError> {
+        if !self.singles.is_empty() {
+            self.sink.vertices(VertexBatch::Float32(&self.singles)).map_err(sink_error)?;
+            self.sent_vertices += self.singles.len() as u64;
+            self.singles.clear();
+        }
+        if !self.doubles.is_empty() {
+            self.sink.vertices(VertexBatch::Float64(&self.doubles)).map_err(sink_error)?;
+            self.recent_start = self.sent_vertices;
+            self.sent_vertices += self.doubles.len() as u64;
+            std::mem::swap(&mut self.recent, &mut self.doubles);
+            self.doubles.clear();
+        }
+        Ok(())
+    }
+
+    #[cold]
+    fn send_triangles(&mut self) -> Result<(), ImportError> {
+        if self.triangles.is_empty() {
+            return Ok(());
+        }
+        self.send_vertices()?;
+        let material = match (self.material, self.default_material) {
+            (Some(material), _) | (None, Some(material)) => material,
+            (None, None) => {
+                let material = self.add_material(MaterialRecord::default())?;
+                self.default_material = Some(material);
+                material
+            }
+        };
+        self.sink.triangles(&self.triangles, material).map_err(sink_error)?;
+        self.report.triangles += self.triangles.len() as u64;
+        self.triangles.clear();
+        Ok(())
+    }
+
+    /// Says that no vertex will come after this.
+    pub(super) fn vertices_complete(&mut self) -> Result<(), ImportError> {
+        self.send_vertices()?;
+        self.sink.vertices_complete().map_err(sink_error)
+    }
+
+    /// Tells the sink how far the reader is, if that has moved enough to matter.
+    pub(super) fn progress(&mut self, (consumed, total): (u64, Option<u64>)) -> Result<(), ImportError> {
+        if consumed >= self.last_progress + PROGRESS_BYTES {
+            self.last_progress = consumed;
+            self.sink.progress(consumed, total).map_err(sink_error)?;
+        }
+        Ok(())
+    }
+
+    /// Sends what is left and gives the report.
+    pub(super) fn finish(
+        mut self,
+        (consumed, total): (u64, Option<u64>),
+    ) -> Result<ImportReport, ImportError> {
+        self.send_vertices()?;
+        self.send_triangles()?;
+        self.sink.progress(consumed, total).map_err(sink_error)?;
+        self.report.vertices = self.sent_vertices;
+        Ok(self.report)
+    }
+}

@@ -1,0 +1,119 @@
+//! Model files by name: which reader takes them, compression, and the record by which a change is noticed.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::time::UNIX_EPOCH;
+
+use xxhash_rust::xxh3::Xxh3;
+
+use super::meter::Meter;
+use super::ply;
+use super::report::{ImportOptions, ImportReport};
+use super::sink::MeshSink;
+use crate::error::ImportError;
+use crate::model::SourceRecord;
+
+/// The formats that can be imported.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Ply,
+}
+
+/// Format of a file by its extension, in any case, and whether it is compressed.
+fn kind(path: &Path) -> Option<(Format, bool)> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    let (stem, compressed) = match name.strip_suffix(".gz") {
+        Some(stem) => (stem, true),
+        None => (name.as_str(), false),
+    };
+    let format = match stem.rsplit_once('.')?.1 {
+        "ply" => Format::Ply,
+        _ => return None,
+    };
+    Some((format, compressed))
+}
+
+/// Imports a model file into `sink`. The format follows from the extension, in upper or lower case: `.obj`,
+/// `.ply`, `.stl`, and each of them with `.gz` behind it (feature `gzip`).
+///
+/// The sink is left with part of the mesh if this fails.
+///
+/// # Errors
+/// What cannot be opened or read ([`ImportError::Io`]), understood ([`ImportError::Line`], [`ImportError::Byte`],
+/// [`ImportError::UnknownKind`]) or received ([`ImportError::Sink`]).
+pub fn import_file(
+    path: &Path,
+    options: &ImportOptions,
+    sink: &mut dyn MeshSink,
+) -> Result<ImportReport, ImportError> {
+    let (format, compressed) = kind(path).ok_or_else(|| ImportError::UnknownKind { path: path.into() })?;
+    let mut open = || open(path, compressed);
+    let (reader, meter) = open()?;
+    match format {
+        Format::Ply => ply::read(reader, meter, path, options, Some(&mut open), sink),
+    }
+}
+
+/// Opens a model file for reading from its start.
+fn open(path: &Path, compressed: bool) -> Result<(Box<dyn Read>, Meter), ImportError> {
+    let file = File::open(path).map_err(io_error(path))?;
+    let total_bytes = file.metadata().map_err(io_error(path))?.len();
+    if !compressed {
+        return Ok((Box::new(file), Meter::plain(total_bytes)));
+    }
+    #[cfg(feature = "gzip")]
+    {
+        let (meter, counted) = Meter::compressed(file, total_bytes);
+        let buffered = io::BufReader::with_capacity(1 << 16, counted);
+        Ok((Box::new(flate2::bufread::MultiGzDecoder::new(buffered)), meter))
+    }
+    #[cfg(not(feature = "gzip"))]
+    {
+        let error = io::Error::new(
+            io::ErrorKind::Unsupported,
+            "it is compressed, and outcrop was built without the feature `gzip`; unpack it first",
+        );
+        Err(io_error(path)(error))
+    }
+}
+
+/// Wraps an error of the operating system.
+fn io_error(path: &Path) -> impl Fn(io::Error) -> ImportError + '_ {
+    |error| ImportError::Io { path: path.to_path_buf(), error }
+}
+
+/// Bytes at each end of a model file that its fingerprint covers.
+const FINGERPRINT_BYTES: u64 = 64 << 10;
+
+/// What a compiled file keeps to notice that the model file changed.
+///
+/// # Errors
+/// [`ImportError::Io`].
+pub fn source_record(path: &Path) -> Result<SourceRecord, ImportError> {
+    let record = || -> io::Result<SourceRecord> {
+        let mut file = File::open(path)?;
+        let metadata = file.metadata()?;
+        let file_bytes = metadata.len();
+        let mut hash = Xxh3::new();
+        hash.update(&file_bytes.to_le_bytes());
+        let mut bytes = Vec::new();
+        (&mut file).take(FINGERPRINT_BYTES).read_to_end(&mut bytes)?;
+        hash.update(&bytes);
+        if file_bytes > FINGERPRINT_BYTES {
+            file.seek(SeekFrom::Start((file_bytes - FINGERPRINT_BYTES).max(FINGERPRINT_BYTES)))?;
+            bytes.clear();
+            file.take(FINGERPRINT_BYTES).read_to_end(&mut bytes)?;
+            hash.update(&bytes);
+        }
+        let modified_ns = modified_ns(&metadata)?;
+        Ok(SourceRecord { file_bytes, modified_ns, fingerprint: hash.digest() })
+    };
+    record().map_err(io_error(path))
+}
+
+/// Modification time in nanoseconds since 1970; 0 for times before that.
+fn modified_ns(metadata: &std::fs::Metadata) -> io::Result<u64> {
+    let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+    Ok(u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
+}

@@ -1,0 +1,247 @@
+//! The elements `face` and `tristrips`.
+
+use super::header::{Element, Encoding, Kind, Scalar};
+use super::values::Values;
+use crate::error::ImportError;
+use crate::import::feed::{BATCH_COUNT, Feed};
+use crate::import::polygon::CORNERS_MAX;
+
+/// Where the indices of a face stand in its record.
+#[derive(Clone, Copy, Debug)]
+struct IndexList {
+    /// Which property it is.
+    property: usize,
+    count: Scalar,
+    item: Scalar,
+}
+
+/// Finds the list of vertex indices.
+fn index_list(element: &Element) -> Result<IndexList, String> {
+    for (property, candidate) in element.properties.iter().enumerate() {
+        if matches!(candidate.name.as_str(), "vertex_indices" | "vertex_index") {
+            let Kind::List { count, item } = candidate.kind else {
+                return Err(format!("the property `{}` is not a list", candidate.name));
+            };
+            return Ok(IndexList { property, count, item });
+        }
+    }
+    Err(format!("the element `{}` has no list `vertex_indices` or `vertex_index`", element.name))
+}
+
+/// Reads the faces, cuts those with more than three corners, and sends the triangles on.
+pub(super) fn read(
+    values: &mut Values<'_, '_>,
+    element: &Element,
+    feed: &mut Feed<'_>,
+) -> Result<(), ImportError> {
+    if element.count == 0 {
+        return Ok(());
+    }
+    let list = index_list(element).map_err(|reason| values.error(reason))?;
+    let layout = TriangleLayout::of(values.encoding(), element, list);
+    let mut corners = Vec::new();
+    let mut left = element.count;
+    while left > 0 {
+        if let Some(layout) = &layout {
+            left -= layout.read(values, left, feed)?;
+            if left == 0 {
+                break;
+            }
+        }
+        for (index, property) in element.properties.iter().enumerate() {
+            if index == list.property {
+                read_corners(values, list, feed.vertex_count(), &mut corners)?;
+            } else {
+                values.skip_property(property.kind)?;
+            }
+        }
+        feed.face(&corners)?;
+        feed.progress(values.window.progress())?;
+        left -= 1;
+    }
+    Ok(())
+}
+
+/// Reads the list of a face's vertices into `corners`.
+fn read_corners(
+    values: &mut Values<'_, '_>,
+    list: IndexList,
+    vertex_count: u64,
+    corners: &mut Vec<u32>,
+) -> Result<(), ImportError> {
+    let count = values.count(list.count)?;
+    if count > CORNERS_MAX as u64 {
+        return Err(values.error(format!("a face with {count} corners; at most {CORNERS_MAX} are supported")));
+    }
+    corners.clear();
+    for _ in 0..count {
+        let index = values.integer(list.item)?;
+        corners.push(vertex(values, index, vertex_count)?);
+    }
+    Ok(())
+}
+
+/// Checks the index of a vertex that was just read.
+fn vertex(values: &Values<'_, '_>, index: i64, vertex_count: u64) -> Result<u32, ImportError> {
+    match u32::try_from(index) {
+        Ok(vertex) if u64::from(vertex) < vertex_count => Ok(vertex),
+        _ => Err(values.error(format!(
+            "a face names vertex {index} of {vertex_count} (just before this place; counted from 0)"
+        ))),
+    }
+}
+
+/// Reads triangle strips: every index makes a triangle with the two before it, turned round every other time; -1
+/// starts anew.
+pub(super) fn read_strips(
+    values: &mut Values<'_, '_>,
+    element: &Element,
+    feed: &mut Feed<'_>,
+) -> Result<(), ImportError> {
+    if element.count == 0 {
+        return Ok(());
+    }
+    let list = index_list(element).map_err(|reason| values.error(reason))?;
+    let vertex_count = feed.vertex_count();
+    for _ in 0..element.count {
+        for (index, property) in element.properties.iter().enumerate() {
+            if index != list.property {
+                values.skip_property(property.kind)?;
+                continue;
+            }
+            let mut last = [0; 2];
+            let mut length = 0_u64;
+            for _ in 0..values.count(list.count)? {
+                let index = values.integer(list.item)?;
+                // -1 in an unsigned list is the type's largest value.
+                if index == -1 || (index == 0xFFFF_FFFF && list.item == Scalar::U32) {
+                    length = 0;
+                    continue;
+                }
+                let vertex = vertex(values, index, vertex_count)?;
+                if length >= 2 {
+                    let [a, b] = if length.is_multiple_of(2) { last } else { [last[1], last[0]] };
+                    // Repeated vertices stitch strips together; they are no faces.
+                    if a != b && b != vertex && vertex != a {
+                        feed.triangle([a, b, vertex])?;
+                    }
+                }
+                last = [last[1], vertex];
+                length += 1;
+                feed.progress(values.window.progress())?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Binary little-endian records with one list, of one-byte counts and four-byte indices: while the counts are 3,
+/// records have one size and are read in bulk.
+struct TriangleLayout {
+    /// Bytes before the list.
+    before: usize,
+    /// Bytes of a whole record with three corners.
+    stride: usize,
+    /// Whether indices are signed.
+    signed: bool,
+}
+
+/// Records taken at once; few enough that an odd record costs little.
+const RUN_COUNT: usize = 4096;
+
+impl TriangleLayout {
+    fn of(encoding: Encoding, element: &Element, list: IndexList) -> Option<TriangleLayout> {
+        let lists = element.properties.iter().filter(|property| matches!(property.kind, Kind::List { .. }));
+        let fits = encoding == Encoding::LittleEndian
+            && lists.count() == 1
+            && list.count.bytes() == 1
+            && matches!(list.item, Scalar::I32 | Scalar::U32);
+        let bytes = |range: &[super::header::Property]| -> usize {
+            range
+                .iter()
+                .map(|property| match property.kind {
+                    Kind::Scalar(scalar) => scalar.bytes(),
+                    Kind::List { .. } => 13,
+                })
+                .sum()
+        };
+        fits.then(|| TriangleLayout {
+            before: bytes(&element.properties[..list.property]),
+            stride: bytes(&element.properties),
+            signed: list.item == Scalar::I32,
+        })
+    }
+
+    /// Reads triangles until a record is odd (not a triangle, or naming no vertex) or cut off by the end of the
+    /// stream, or `count` are read; returns how many. The caller reads the odd one the slow way, which also words
+    /// the error.
+    fn read(&self, values: &mut Values<'_, '_>, count: u64, feed: &mut Feed<'_>) -> Result<u64, ImportError> {
+        let signed_limit = if self.signed { 1 << 31 } else { u64::MAX };
+        let limit = feed.vertex_count().min(signed_limit);
+        let mut done = 0;
+        while done < count {
+            if values.window.data().len() < self.stride {
+                values.window.refill()?;
+                feed.progress(values.window.progress())?;
+                if values.window.data().len() < self.stride {
+                    break;
+                }
+            }
+            let data = values.window.data();
+            let batch = feed.triangles_with_room()?;
+            let left = usize::try_from(count - done).unwrap_or(usize::MAX);
+            let take = (data.len() / self.stride).min(BATCH_COUNT - batch.len()).min(RUN_COUNT).min(left);
+            let records = &data[..take * self.stride];
+            let taken = if self.stride == 13 {
+                take_triangles(records.as_chunks::<13>().0.iter(), limit, batch)
+            } else {
+                let lists = records.chunks_exact(self.stride).map(|record| {
+                    // The record has `before` bytes, 13 of the list, and what comes after it.
+                    record[self.before..].first_chunk::<13>().expect("a record holds its list")
+                });
+                take_triangles(lists, limit, batch)
+            };
+            values.window.consume(taken * self.stride);
+            done += taken as u64;
+            if taken < take {
+                break;
+            }
+        }
+        Ok(done)
+    }
+}
+
+/// Appends the triangles of `lists` up to the first that is odd; returns how many.
+fn take_triangles<'r>(
+    lists: impl ExactSizeIterator<Item = &'r [u8; 13]> + Clone,
+    limit: u64,
+    batch: &mut Vec<[u32; 3]>,
+) -> usize {
+    let start = batch.len();
+    let mut all_triangles = true;
+    let mut largest = 0;
+    batch.extend(lists.clone().map(|list| {
+        let corners = corners(list);
+        all_triangles &= list[0] == 3;
+        largest = largest.max(corners[0]).max(corners[1]).max(corners[2]);
+        corners
+    }));
+    if all_triangles && u64::from(largest) < limit {
+        return batch.len() - start;
+    }
+    // Only a run with an odd record comes here.
+    let good = lists
+        .take_while(|list| list[0] == 3 && corners(list).iter().all(|corner| u64::from(*corner) < limit))
+        .count();
+    batch.truncate(start + good);
+    good
+}
+
+/// The three indices of a list.
+#[inline]
+fn corners(list: &[u8; 13]) -> [u32; 3] {
+    std::array::from_fn(|corner| {
+        let at = 1 + corner * 4;
+        u32::from_le_bytes([list[at], list[at + 1], list[at + 2], list[at + 3]])
+    })
+}

@@ -1,0 +1,217 @@
+//! The text that every PLY file starts with: encoding, elements, properties.
+
+use crate::error::ImportError;
+use crate::import::window::Window;
+
+/// How the records after the header are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Encoding {
+    Ascii,
+    LittleEndian,
+    BigEndian,
+}
+
+/// The types that a property can have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    /// The type of that name, old style (`uchar`) or new (`uint8`).
+    fn parse(name: &[u8]) -> Option<Scalar> {
+        Some(match name {
+            b"char" | b"int8" => Scalar::I8,
+            b"uchar" | b"uint8" => Scalar::U8,
+            b"short" | b"int16" => Scalar::I16,
+            b"ushort" | b"uint16" => Scalar::U16,
+            b"int" | b"int32" => Scalar::I32,
+            b"uint" | b"uint32" => Scalar::U32,
+            b"float" | b"float32" => Scalar::F32,
+            b"double" | b"float64" => Scalar::F64,
+            _ => return None,
+        })
+    }
+
+    /// Size in a binary file.
+    pub(super) fn bytes(self) -> usize {
+        match self {
+            Scalar::I8 | Scalar::U8 => 1,
+            Scalar::I16 | Scalar::U16 => 2,
+            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
+            Scalar::F64 => 8,
+        }
+    }
+
+    /// Whether every value of the type is exact in f32.
+    pub(super) fn fits_f32(self) -> bool {
+        matches!(self, Scalar::I8 | Scalar::U8 | Scalar::I16 | Scalar::U16 | Scalar::F32)
+    }
+}
+
+/// One value, or a count and that many values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Scalar(Scalar),
+    List { count: Scalar, item: Scalar },
+}
+
+/// A named part of a record.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Property {
+    pub(super) name: String,
+    pub(super) kind: Kind,
+}
+
+/// A table of records of one kind.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Element {
+    pub(super) name: String,
+    pub(super) count: u64,
+    pub(super) properties: Vec<Property>,
+}
+
+impl Element {
+    /// Size of a record in a binary file, if it has no lists.
+    pub(super) fn fixed_bytes(&self) -> Option<usize> {
+        self.properties.iter().try_fold(0, |sum, property| match property.kind {
+            Kind::Scalar(scalar) => Some(sum + scalar.bytes()),
+            Kind::List { .. } => None,
+        })
+    }
+}
+
+/// The whole header.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Header {
+    pub(super) encoding: Encoding,
+    pub(super) elements: Vec<Element>,
+    /// From a line `comment mtllib NAME`.
+    pub(super) material_library: Option<Vec<u8>>,
+    /// Lines of the header, `end_header` included.
+    pub(super) lines: u64,
+}
+
+/// Reads the header and leaves the window at the first byte after it.
+pub(super) fn read(window: &mut Window<'_>) -> Result<Header, ImportError> {
+    window.refill()?;
+    let data = window.data();
+    let line_end = match data.get(..4) {
+        Some(b"ply\n") => b'\n',
+        // A lone CR ends lines only where no LF follows the first one.
+        Some(b"ply\r") if data.get(4) != Some(&b'\n') => b'\r',
+        Some(b"ply\r" | b"ply " | b"ply\t") => b'\n',
+        _ => return Err(window.byte_error(0, "not a PLY file: it does not start with a line `ply`")),
+    };
+    let mut parser = Parser { encoding: None, elements: Vec::new(), material_library: None };
+    let mut position = 0;
+    let mut lines = 0;
+    loop {
+        let rest = &data[position..];
+        lines += 1;
+        let Some(length) = memchr::memchr(line_end, rest) else {
+            // `end_header` without a line end is complete if nothing follows it.
+            if window.ended() && rest.trim_ascii() == b"end_header" {
+                position = data.len();
+                break;
+            }
+            let reason = if window.ended() {
+                "the file ends before `end_header`"
+            } else {
+                "no `end_header` in the first 1 MiB"
+            };
+            return Err(window.line_error(lines, reason));
+        };
+        position += length + 1;
+        match parser.line(rest[..length].trim_ascii()) {
+            Ok(true) => break,
+            Ok(false) => {}
+            Err(reason) => return Err(window.line_error(lines, reason)),
+        }
+    }
+    let Some(encoding) = parser.encoding else {
+        return Err(window.line_error(lines, "the header has no `format` line"));
+    };
+    window.consume(position);
+    Ok(Header { encoding, elements: parser.elements, material_library: parser.material_library, lines })
+}
+
+struct Parser {
+    encoding: Option<Encoding>,
+    elements: Vec<Element>,
+    material_library: Option<Vec<u8>>,
+}
+
+impl Parser {
+    /// Takes one line; true for `end_header`.
+    fn line(&mut self, line: &[u8]) -> Result<bool, String> {
+        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let keyword = words.next().unwrap_or_default();
+        match keyword {
+            b"" | b"ply" | b"obj_info" => {}
+            b"comment" => {
+                let text = line["comment".len()..].trim_ascii();
+                if let Some(name) = text.strip_prefix(b"mtllib ") {
+                    self.material_library.get_or_insert_with(|| name.trim_ascii().to_vec());
+                }
+            }
+            b"format" => {
+                self.encoding = Some(match words.next().unwrap_or_default() {
+                    b"ascii" => Encoding::Ascii,
+                    b"binary_little_endian" => Encoding::LittleEndian,
+                    b"binary_big_endian" => Encoding::BigEndian,
+                    other => return Err(format!("unknown format `{}`", shown(other))),
+                });
+            }
+            b"element" => {
+                let name = words.next().ok_or("an element without a name")?;
+                let count = words.next().unwrap_or_default();
+                let count = std::str::from_utf8(count)
+                    .ok()
+                    .and_then(|text| text.parse().ok())
+                    .ok_or_else(|| format!("`{}` is not a count of records", shown(count)))?;
+                self.elements.push(Element { name: shown(name), count, properties: Vec::new() });
+            }
+            b"property" => {
+                let mut scalar = || {
+                    let word = words.next().unwrap_or_default();
+                    match word {
+                        b"list" => Ok(None),
+                        _ => Scalar::parse(word)
+                            .map(Some)
+                            .ok_or_else(|| format!("unknown property type `{}`", shown(word))),
+                    }
+                };
+                let kind = match scalar()? {
+                    Some(scalar) => Kind::Scalar(scalar),
+                    None => match (scalar()?, scalar()?) {
+                        (Some(count), Some(item)) => Kind::List { count, item },
+                        _ => return Err("a list of lists".into()),
+                    },
+                };
+                let name = words.next().ok_or("a property without a name")?;
+                let element = self.elements.last_mut().ok_or("a property before the first element")?;
+                element.properties.push(Property { name: shown(name), kind });
+            }
+            b"end_header" => return Ok(true),
+            other => return Err(format!("unknown header line `{}`", shown(other))),
+        }
+        Ok(false)
+    }
+}
+
+/// Bytes of a file as a message shows them.
+fn shown(bytes: &[u8]) -> String {
+    let mut text = String::from_utf8_lossy(&bytes[..bytes.len().min(80)]).into_owned();
+    if bytes.len() > 80 {
+        text.push_str("...");
+    }
+    text
+}

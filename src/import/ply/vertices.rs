@@ -1,0 +1,130 @@
+//! The element `vertex`.
+
+use super::header::{Element, Encoding, Kind, Scalar};
+use super::values::Values;
+use crate::error::ImportError;
+use crate::import::feed::Feed;
+
+/// Reads the vertices and sends their positions on.
+pub(super) fn read(
+    values: &mut Values<'_, '_>,
+    element: &Element,
+    feed: &mut Feed<'_>,
+) -> Result<(), ImportError> {
+    let axes = axes(element).map_err(|reason| values.error(reason))?;
+    if element.count > 1 << 32 {
+        return Err(values.error(format!("{} vertices; at most 2^32 can be indexed", element.count)));
+    }
+    note_ignored(element, feed);
+    let mut left = element.count;
+    if let Some((offset, stride)) = contiguous_f32(values.encoding(), element, axes) {
+        left -= read_f32(values, offset, stride, left, feed)?;
+    }
+    let exact_in_f32 = values.encoding() != Encoding::Ascii && axes.iter().all(|axis| axis.1.fits_f32());
+    for _ in 0..left {
+        let mut position = [0.0; 3];
+        for (index, property) in element.properties.iter().enumerate() {
+            match axes.iter().position(|axis| axis.0 == index) {
+                Some(axis) => position[axis] = values.float(axes[axis].1)?,
+                None => values.skip_property(property.kind)?,
+            }
+        }
+        if exact_in_f32 {
+            feed.vertex32(position.map(|value| value as f32))?;
+        } else {
+            feed.vertex64(position)?;
+        }
+        feed.progress(values.window.progress())?;
+    }
+    Ok(())
+}
+
+/// Which properties are x, y and z, and their types.
+fn axes(element: &Element) -> Result<[(usize, Scalar); 3], String> {
+    let mut axes = [(0, Scalar::F32); 3];
+    for (axis, name) in axes.iter_mut().zip(["x", "y", "z"]) {
+        let index = element.properties.iter().position(|property| property.name == name);
+        let index = index.ok_or_else(|| format!("the element `vertex` has no property `{name}`"))?;
+        let Kind::Scalar(scalar) = element.properties[index].kind else {
+            return Err(format!("the vertex property `{name}` is a list"));
+        };
+        *axis = (index, scalar);
+    }
+    Ok(axes)
+}
+
+/// Counts what the records hold besides positions.
+fn note_ignored(element: &Element, feed: &mut Feed<'_>) {
+    let has = |names: &[&str]| element.properties.iter().any(|p| names.contains(&p.name.as_str()));
+    let ignored = &mut feed.report.ignored;
+    if has(&["nx", "normal_x"]) {
+        ignored.normals += element.count;
+    }
+    if has(&["u", "s", "texture_u", "texture_s"]) {
+        ignored.texture_coordinates += element.count;
+    }
+    if has(&["red", "diffuse_red", "r"]) {
+        ignored.vertex_colors += element.count;
+    }
+}
+
+/// Offset and stride of positions that stand as three little-endian f32 in records of one size.
+fn contiguous_f32(
+    encoding: Encoding,
+    element: &Element,
+    axes: [(usize, Scalar); 3],
+) -> Option<(usize, usize)> {
+    let [x, y, z] = axes.map(|axis| axis.0);
+    let stride = element.fixed_bytes()?;
+    let fits = encoding == Encoding::LittleEndian
+        && axes.iter().all(|axis| axis.1 == Scalar::F32)
+        && y == x + 1
+        && z == y + 1;
+    let before = element.properties[..x].iter().map(|property| match property.kind {
+        Kind::Scalar(scalar) => scalar.bytes(),
+        Kind::List { .. } => 0,
+    });
+    fits.then(|| (before.sum(), stride))
+}
+
+/// Reads whole records in bulk as long as the stream gives them; returns how many.
+fn read_f32(
+    values: &mut Values<'_, '_>,
+    offset: usize,
+    stride: usize,
+    count: u64,
+    feed: &mut Feed<'_>,
+) -> Result<u64, ImportError> {
+    let mut done = 0;
+    while done < count {
+        if values.window.data().len() < stride {
+            values.window.refill()?;
+            feed.progress(values.window.progress())?;
+            if values.window.data().len() < stride {
+                break;
+            }
+        }
+        let data = values.window.data();
+        let batch = feed.singles_with_room()?;
+        let left = usize::try_from(count - done).unwrap_or(usize::MAX);
+        let take = (data.len() / stride).min(batch.capacity() - batch.len()).min(left);
+        let records = &data[..take * stride];
+        if stride == 12 {
+            batch.extend(records.as_chunks::<12>().0.iter().map(|record| position(record)));
+        } else {
+            batch.extend(records.chunks_exact(stride).map(|record| position(&record[offset..])));
+        }
+        values.window.consume(take * stride);
+        done += take as u64;
+    }
+    Ok(done)
+}
+
+/// Three little-endian f32.
+#[inline]
+fn position(bytes: &[u8]) -> [f32; 3] {
+    std::array::from_fn(|axis| {
+        let at = axis * 4;
+        f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+    })
+}
