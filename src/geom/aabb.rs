@@ -1,5 +1,7 @@
 //! Axis-aligned boxes with exact f64 bounds.
 
+use super::float::{relative_down_f32, relative_up_f32};
+
 /// A closed axis-aligned box. The empty box has `min = +inf`, `max = -inf`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
@@ -47,5 +49,30 @@ impl Aabb {
     /// Whether `other` lies inside this box, borders included.
     pub fn contains(&self, other: &Aabb) -> bool {
         (0..3).all(|axis| self.min[axis] <= other.min[axis] && other.max[axis] <= self.max[axis])
+    }
+
+    /// The box less `base`, rounded outward: lowest and highest corner of the smallest f32 box around the exact one.
+    /// The empty box stays empty. `base` is finite.
+    pub fn relative_to(&self, base: [f64; 3]) -> ([f32; 3], [f32; 3]) {
+        (
+            [0, 1, 2].map(|axis| relative_down_f32(self.min[axis], base[axis])),
+            [0, 1, 2].map(|axis| relative_up_f32(self.max[axis], base[axis])),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn relative_boxes_round_outward() {
+        let whole = Aabb { min: [1e7 + 0.1, -1.0, 0.1], max: [1e7 + 0.3, -1.0, 0.1] };
+        let (min, max) = whole.relative_to([1e7, 1.0, 0.0]);
+        assert_eq!((min[1], max[1]), (-2.0, -2.0));
+        assert!(f64::from(min[2]) < 0.1 && 0.1 < f64::from(max[2]) && max[2] == min[2].next_up());
+        assert!(f64::from(min[0]) <= whole.min[0] - 1e7 && whole.max[0] - 1e7 <= f64::from(max[0]));
+        let (min, max) = Aabb::EMPTY.relative_to([1.0; 3]);
+        assert!((0..3).all(|axis| min[axis] > max[axis]));
     }
 }

@@ -2,11 +2,22 @@
 //! that hold the only epsilons, exact predicates, and the global lattice.
 
 mod aabb;
+mod expansion;
+mod float;
+mod frame;
 mod lattice;
+mod offset;
 mod ray;
 mod triangle;
+mod triangle_exact;
 
 pub use aabb::Aabb;
+pub use float::{
+    U32, U64, gamma, gamma_f32, relative_bounds_f32, relative_down_f32, relative_up_f32, round_down_f32,
+    round_up_f32,
+};
+pub use frame::RayFrame;
 pub use lattice::{Lattice, Precision};
+pub use offset::{hit_position, offset_origin, position_error, triangle_normal};
 pub use ray::Ray;
 pub use triangle::{TriangleHit, intersect_certified};

@@ -1,0 +1,67 @@
+//! The exact stage of the triangle test: the same determinants as the f64 stage, as expansions.
+
+use super::TriangleHit;
+use super::expansion::{Expansion, difference};
+use super::frame::{COORDINATE_MAX, RayFrame};
+
+/// A vector of exact differences.
+type Difference = [Expansion<2>; 3];
+
+fn differences(a: [f64; 3], b: [f64; 3]) -> Difference {
+    [0, 1, 2].map(|axis| difference(a[axis], b[axis]))
+}
+
+/// `direction x a`.
+fn moment(direction: [f64; 3], a: &Difference) -> [Expansion<8>; 3] {
+    [(1, 2), (2, 0), (0, 1)]
+        .map(|(j, k)| a[k].scaled::<4>(direction[j]).minus(&a[j].scaled::<4>(direction[k])))
+}
+
+/// `a x b`.
+fn cross(a: &Difference, b: &Difference) -> [Expansion<16>; 3] {
+    [(1, 2), (2, 0), (0, 1)].map(|(j, k)| a[j].times::<4, 8>(&b[k]).minus(&a[k].times::<4, 8>(&b[j])))
+}
+
+/// `a . b`; `P` is 4 `N`, `S` is 8 `N`.
+fn dot<const N: usize, const D: usize, const P: usize, const S: usize, const T: usize>(
+    a: &[Expansion<N>; 3],
+    b: &Difference,
+) -> Expansion<T> {
+    let [x, y, z] = [0, 1, 2].map(|axis| a[axis].times::<D, P>(&b[axis]));
+    x.plus::<P, S>(&y).plus(&z)
+}
+
+fn edge_function(edge: &Difference, moment: &[Expansion<8>; 3]) -> Expansion<96> {
+    dot::<8, 16, 32, 64, 96>(moment, edge)
+}
+
+/// [`RayFrame::intersect`] without an f64 stage. One to two orders of magnitude slower.
+#[cold]
+#[inline(never)]
+pub(super) fn intersect(frame: &RayFrame, vertices: &[[f64; 3]; 3]) -> Option<TriangleHit> {
+    // Written so that NaN fails. Inside this range nothing below overflows.
+    if !vertices.iter().flatten().all(|x| x.abs() <= COORDINATE_MAX) {
+        return None;
+    }
+    let [a, b, c] = *vertices;
+    let (to_a, to_b) = (differences(a, frame.origin), differences(b, frame.origin));
+    let (ab, ac, bc) = (differences(b, a), differences(c, a), differences(c, b));
+    let moment_a = moment(frame.direction, &to_a);
+    let w = edge_function(&ab, &moment_a);
+    let v = edge_function(&ac, &moment_a).negated();
+    if w.sign() * v.sign() < 0 {
+        return None;
+    }
+    let u = edge_function(&bc, &moment(frame.direction, &to_b));
+    let signs = [u.sign(), v.sign(), w.sign()];
+    if signs.contains(&1) == signs.contains(&-1) {
+        // Both signs: a miss. Neither: all three are zero, so their sum, the determinant, is too.
+        return None;
+    }
+    // With one sign among them the sum cannot be zero.
+    let normal = cross(&ab, &ac);
+    let [x, y, z] = [0, 1, 2].map(|axis| normal[axis].scaled::<32>(frame.direction[axis]));
+    let determinant = x.plus::<32, 64>(&y).plus::<32, 96>(&z).value();
+    let numerator = dot::<16, 32, 64, 128, 192>(&normal, &to_a).value();
+    frame.accept(numerator / determinant, v.value() / determinant, w.value() / determinant)
+}
