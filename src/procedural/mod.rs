@@ -7,11 +7,24 @@
 
 pub mod export;
 mod gears;
+mod glass_stack;
+mod icosphere;
 mod mesh_buffer;
+mod needles;
+mod random;
 mod shape;
+mod soup;
+mod terrain;
 mod tessellation;
+mod torus_field;
 
 pub use gears::Gears;
+pub use glass_stack::GlassStack;
+pub use icosphere::Icosphere;
 pub use mesh_buffer::MeshBuffer;
+pub use needles::Needles;
 pub use shape::Shape;
+pub use soup::Soup;
+pub use terrain::Terrain;
 pub use tessellation::Tessellation;
+pub use torus_field::TorusField;

@@ -7,7 +7,7 @@ use crate::import::{MeshSink, VertexBatch};
 use crate::units::MaterialId;
 
 /// Vertices or triangles per call of the sink.
-const BATCH: usize = 4096;
+pub(super) const BATCH: usize = 4096;
 
 /// How finely each coarse triangle is cut: its edges into `segments` parts each, after it was cut in three at its
 /// centroid if `at_centroid`.
@@ -106,7 +106,7 @@ impl Pattern {
         self.vertices.len()
     }
 
-    /// Sends the fine mesh for the given coarse positions; `first_vertex` vertices were sent before.
+    /// Sends the fine mesh in f32 for the given coarse positions; `first_vertex` vertices were sent before.
     ///
     /// Coarse coordinates are f32, so sums of weighted ones are exact in f64 and a plane that is parallel to an
     /// axis stays exactly flat.
@@ -117,12 +117,40 @@ impl Pattern {
         material: MaterialId,
         sink: &mut dyn MeshSink,
     ) -> Result<(), CompileError> {
+        let position = |corner: u32| positions[corner as usize].map(f64::from);
         let mut vertices = Vec::with_capacity(BATCH);
         for chunk in self.vertices.chunks(BATCH) {
             vertices.clear();
-            vertices.extend(chunk.iter().map(|vertex| self.position(vertex, positions)));
+            vertices.extend(chunk.iter().map(|vertex| self.combine(vertex, position).map(|x| x as f32)));
             sink.vertices(VertexBatch::Float32(&vertices))?;
         }
+        self.emit_triangles(first_vertex, material, sink)
+    }
+
+    /// Sends the fine mesh in f64; `bend` moves each fine vertex from its place on the flat coarse face.
+    pub fn emit_bent(
+        &self,
+        positions: &[[f64; 3]],
+        bend: impl Fn([f64; 3]) -> [f64; 3],
+        material: MaterialId,
+        sink: &mut dyn MeshSink,
+    ) -> Result<(), CompileError> {
+        let position = |corner: u32| positions[corner as usize];
+        let mut vertices = Vec::with_capacity(BATCH);
+        for chunk in self.vertices.chunks(BATCH) {
+            vertices.clear();
+            vertices.extend(chunk.iter().map(|vertex| bend(self.combine(vertex, position))));
+            sink.vertices(VertexBatch::Float64(&vertices))?;
+        }
+        self.emit_triangles(0, material, sink)
+    }
+
+    fn emit_triangles(
+        &self,
+        first_vertex: u32,
+        material: MaterialId,
+        sink: &mut dyn MeshSink,
+    ) -> Result<(), CompileError> {
         let mut triangles = Vec::with_capacity(BATCH);
         for chunk in self.triangles.chunks(BATCH) {
             triangles.clear();
@@ -132,12 +160,12 @@ impl Pattern {
         Ok(())
     }
 
-    fn position(&self, vertex: &FineVertex, positions: &[[f32; 3]]) -> [f32; 3] {
-        let corners = vertex.corners.map(|corner| positions[corner as usize]);
+    fn combine(&self, vertex: &FineVertex, position: impl Fn(u32) -> [f64; 3]) -> [f64; 3] {
+        let corners = vertex.corners.map(position);
         let weights = vertex.weights.map(f64::from);
         [0, 1, 2].map(|axis| {
-            let sum: f64 = (0..3).map(|i| weights[i] * f64::from(corners[i][axis])).sum();
-            (sum / self.denominator) as f32
+            let sum: f64 = (0..3).map(|i| weights[i] * corners[i][axis]).sum();
+            sum / self.denominator
         })
     }
 }
