@@ -36,6 +36,43 @@ pub struct BlockError {
     pub reason: &'static str,
 }
 
+/// A block could not be encoded.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EncodeError {
+    /// The input is not a valid block, or the codec refused it.
+    #[error("a block cannot be encoded: {0}")]
+    Invalid(&'static str),
+    /// The input is larger than the block size of the file. Cut it into smaller blocks.
+    #[error(
+        "a block of {triangle_count} triangles and {vertex_count} {} is larger than the block size of {limit} bytes",
+        if *wide { "wide vertices" } else { "vertices" }
+    )]
+    TooLarge {
+        /// Vertices in the input.
+        vertex_count: usize,
+        /// Triangles in the input.
+        triangle_count: usize,
+        /// Whether its vertices take 24 bytes each instead of 12.
+        wide: bool,
+        /// The block size.
+        limit: u32,
+    },
+    /// The codec is not in this build.
+    #[error(
+        "this build of outcrop lacks the block codec {codec}; build it with the feature `{codec}` or choose another codec"
+    )]
+    CodecMissing {
+        /// Its name.
+        codec: &'static str,
+    },
+}
+
+impl From<EncodeError> for CompileError {
+    fn from(error: EncodeError) -> CompileError {
+        CompileError::Limit { reason: error.to_string() }
+    }
+}
+
 /// A compiled file's header, directory or material table is not what it should be.
 /// Offsets are from the start of the file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -55,6 +92,12 @@ pub enum ModelError {
         /// By this library.
         supported: u32,
     },
+    /// The file uses a feature of the format that this build does not have.
+    #[error("the file needs {feature}, which this build of outcrop does not have")]
+    Feature {
+        /// Which feature.
+        feature: &'static str,
+    },
     /// Bytes that cannot be right.
     #[error("the {part} is damaged at byte {offset}: {reason}; compile the model again or restore the file")]
     Damaged {
@@ -65,6 +108,18 @@ pub enum ModelError {
         /// What is wrong there.
         reason: &'static str,
     },
+    /// A part is larger than the format or the machine can hold. Only when a file is written.
+    #[error("{reason}")]
+    Limit {
+        /// Which limit.
+        reason: &'static str,
+    },
+}
+
+impl From<ModelError> for CompileError {
+    fn from(error: ModelError) -> CompileError {
+        CompileError::Limit { reason: error.to_string() }
+    }
 }
 
 /// A block or a compiled file could not be read.

@@ -1,5 +1,9 @@
 //! Materials as the compiled file holds them.
 
+use super::directory::Fields;
+use super::header::MATERIAL_BYTES_MIN;
+use crate::error::ModelError;
+
 /// A material in the terms of MTL (and of the 2004 paper). Colours are linear RGB.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MaterialRecord {
@@ -38,4 +42,99 @@ impl Default for MaterialRecord {
             mirror: false,
         }
     }
+}
+
+/// Longest name that a table holds.
+const NAME_BYTES_MAX: usize = 1 << 16;
+
+impl MaterialRecord {
+    fn numbers(&self) -> [f32; 15] {
+        let (d, s, e, t) = (self.diffuse, self.specular, self.emission, self.transmission);
+        [
+            d[0],
+            d[1],
+            d[2],
+            s[0],
+            s[1],
+            s[2],
+            e[0],
+            e[1],
+            e[2],
+            t[0],
+            t[1],
+            t[2],
+            self.shininess,
+            self.opacity,
+            self.refractive_index,
+        ]
+    }
+
+    /// Appends the material to a table.
+    pub(super) fn put(&self, out: &mut Vec<u8>) -> Result<(), ModelError> {
+        if self.name.len() > NAME_BYTES_MAX {
+            return Err(ModelError::Limit { reason: "the name of a material is longer than 64 KiB" });
+        }
+        out.extend(self.numbers().iter().flat_map(|number| number.to_le_bytes()));
+        out.extend_from_slice(&u32::from(self.mirror).to_le_bytes());
+        out.extend_from_slice(&(self.name.len() as u32).to_le_bytes());
+        out.extend_from_slice(self.name.as_bytes());
+        Ok(())
+    }
+}
+
+/// Parses a whole table of `count` materials whose first byte is at `offset` of the file.
+pub(super) fn parse_table(bytes: &[u8], count: u32, offset: u64) -> Result<Vec<MaterialRecord>, ModelError> {
+    let mut rest = bytes;
+    let mut materials = Vec::new();
+    for _ in 0..count {
+        let at = offset + (bytes.len() - rest.len()) as u64;
+        let (material, after) = parse(rest).map_err(|reason| ModelError::Damaged {
+            part: "material table",
+            offset: at,
+            reason,
+        })?;
+        materials.push(material);
+        rest = after;
+    }
+    if rest.is_empty() {
+        Ok(materials)
+    } else {
+        let at = offset + (bytes.len() - rest.len()) as u64;
+        Err(ModelError::Damaged {
+            part: "material table",
+            offset: at,
+            reason: "bytes follow the last material",
+        })
+    }
+}
+
+fn parse(bytes: &[u8]) -> Result<(MaterialRecord, &[u8]), &'static str> {
+    const ENDS: &str = "it ends inside a material";
+    let (head, rest) = bytes.split_first_chunk::<{ MATERIAL_BYTES_MIN as usize }>().ok_or(ENDS)?;
+    let mut fields = Fields(head);
+    let mut color = || [(); 3].map(|()| fields.f32());
+    let (diffuse, specular, emission, transmission) = (color(), color(), color(), color());
+    let (shininess, opacity, refractive_index) = (fields.f32(), fields.f32(), fields.f32());
+    let mirror = match fields.u32() {
+        0 => false,
+        1 => true,
+        _ => return Err("a flag of a material is unknown"),
+    };
+    let (name, rest) = rest.split_at_checked(fields.u32() as usize).ok_or(ENDS)?;
+    let name = str::from_utf8(name).map_err(|_| "the name of a material is not UTF-8")?;
+    let material = MaterialRecord {
+        name: name.to_owned(),
+        diffuse,
+        specular,
+        shininess,
+        emission,
+        opacity,
+        transmission,
+        refractive_index,
+        mirror,
+    };
+    if material.numbers().iter().any(|number| !number.is_finite()) {
+        return Err("a number of a material is not finite");
+    }
+    Ok((material, rest))
 }

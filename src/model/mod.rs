@@ -1,16 +1,28 @@
 //! The compiled file: header, block directory, materials, precision record. Bytes to structures and back; no I/O.
+//!
+//! `header | blocks | directory | materials`, without gaps. `docs/format.md` gives every byte.
 
 mod directory;
+mod header;
 mod material;
+mod read;
+mod sub_boxes;
+mod write;
+
+use crate::block::{BlockCheck, BlockData, BlockLimits, DecodeScratch, decode};
+use crate::error::BlockError;
+use crate::geom::{Aabb, Precision};
+use crate::units::{BlockId, Bytes};
 
 pub use directory::{BlockEntry, SUB_BOX_COUNT};
+pub use header::{FORMAT_VERSION, HEADER_BYTES};
 pub use material::MaterialRecord;
-
-use crate::block::BlockLimits;
-use crate::geom::{Aabb, Precision};
+pub use read::ModelReader;
+pub use sub_boxes::SubBoxes;
+pub use write::{ModelWriter, NewBlock, SealedModel};
 
 /// What a compiled file says about itself, parsed and checked: everything but the blocks.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Model {
     /// How positions are held.
     pub precision: Precision,
@@ -26,6 +38,47 @@ pub struct Model {
     pub materials: Vec<MaterialRecord>,
     /// What the file was compiled from.
     pub source: SourceRecord,
+}
+
+impl Model {
+    /// Memory that the model holds while it is open, for the memory budget (I1).
+    pub fn resident_bytes(&self) -> Bytes {
+        let names: usize = self.materials.iter().map(|material| material.name.capacity()).sum();
+        let blocks = self.blocks.capacity() * size_of::<BlockEntry>();
+        let materials = self.materials.capacity() * size_of::<MaterialRecord>();
+        Bytes((size_of::<Model>() + blocks + materials + names) as u64)
+    }
+
+    /// Length of the largest stored block: what a read buffer must hold.
+    pub fn stored_bytes_max(&self) -> Bytes {
+        Bytes(self.blocks.iter().map(|entry| u64::from(entry.stored_bytes)).max().unwrap_or(0))
+    }
+
+    /// The directory entry of a block.
+    pub fn entry(&self, block: BlockId) -> Option<&BlockEntry> {
+        self.blocks.get(block.0 as usize)
+    }
+
+    /// What the directory promises about a block, for [`decode`]; `None` if there is no such block.
+    pub fn check(&self, block: BlockId) -> Option<BlockCheck> {
+        self.entry(block).map(|entry| entry.check(block))
+    }
+
+    /// Decodes the stored bytes of `block` as [`decode`] does, with everything that the file says about it.
+    ///
+    /// # Errors
+    /// [`BlockError`] if there is no such block or the bytes are not its bytes.
+    pub fn decode_block(
+        &self,
+        block: BlockId,
+        bytes: &[u8],
+        scratch: &mut DecodeScratch,
+        data: &mut BlockData,
+    ) -> Result<(), BlockError> {
+        let check = self.check(block);
+        let check = check.ok_or(BlockError { block, offset: 0, reason: "the file has no such block" })?;
+        decode(bytes, &check, self.precision, self.limits, scratch, data)
+    }
 }
 
 /// Enough about the model file to notice that it changed since it was compiled. All zero if there was no file.

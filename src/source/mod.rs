@@ -6,6 +6,13 @@ use crate::error::SourceError;
 use crate::model::Model;
 use crate::units::BlockId;
 
+mod disk;
+mod memory;
+pub mod testing;
+
+pub use disk::{DiskSource, PageCache};
+pub use memory::MemorySource;
+
 /// Serves the stored bytes of a compiled model's blocks. Shared by all threads; never holds a lock while it reads.
 ///
 /// A source returns bytes as they are: checking them is the decoder's work (I5).
@@ -19,4 +26,46 @@ pub trait BlockSource: Send + Sync {
     /// # Errors
     /// [`SourceError`]; `into` then holds nothing useful.
     fn read_block(&self, block: BlockId, into: &mut Vec<u8>) -> Result<(), SourceError>;
+}
+
+/// The place of a block in the file.
+///
+/// # Errors
+/// [`SourceError::NoSuchBlock`].
+fn place_of(model: &Model, block: BlockId, name: &str) -> Result<(u64, usize), SourceError> {
+    match model.entry(block) {
+        Some(entry) => Ok((entry.offset, entry.stored_bytes as usize)),
+        None => Err(SourceError::NoSuchBlock {
+            block,
+            name: name.to_owned(),
+            // The directory has at most 2^32 - 1 entries.
+            count: model.blocks.len() as u32,
+        }),
+    }
+}
+
+/// What a block is called in errors.
+fn block_name(block: BlockId) -> String {
+    format!("block {}", block.0)
+}
+
+/// Carries either error of opening a file through the parser.
+enum OpenError {
+    Model(crate::error::ModelError),
+    Source(SourceError),
+}
+
+impl From<crate::error::ModelError> for OpenError {
+    fn from(error: crate::error::ModelError) -> OpenError {
+        OpenError::Model(error)
+    }
+}
+
+impl OpenError {
+    fn of(self, name: &str) -> SourceError {
+        match self {
+            OpenError::Model(error) => SourceError::Model { name: name.to_owned(), error },
+            OpenError::Source(error) => error,
+        }
+    }
 }

@@ -1,0 +1,183 @@
+//! The fixed header of a compiled file. `docs/format.md` has the same table.
+
+use super::SourceRecord;
+use super::directory::{ENTRY_BYTES, Fields, is_sound, put_aabb};
+use crate::block::{BLOCK_HEADER_BYTES, BlockLimits, Codec, checksum};
+use crate::error::ModelError;
+use crate::geom::{Aabb, Lattice, Precision};
+
+/// Bytes of the header; the first block starts here.
+pub const HEADER_BYTES: usize = 256;
+
+/// The version of the format that this library writes and reads.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// First bytes of a compiled file. The high bit, the line ends and the control-Z show a file that went through a text
+/// conversion, as in PNG.
+pub(super) const SIGNATURE: [u8; 12] = *b"\x89outcrop\r\n\x1a\n";
+
+/// Blocks of the file may be compressed with zstd.
+pub(super) const FEATURE_ZSTD: u64 = 1;
+
+const FEATURES_KNOWN: u64 = FEATURE_ZSTD;
+
+/// Where the header's own checksum starts: its last eight bytes.
+const CHECKSUM_AT: usize = HEADER_BYTES - 8;
+
+/// Bytes in use before the reserved ones.
+const USED_BYTES: usize = 180;
+
+/// The header in memory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Header {
+    pub features: u64,
+    pub precision: Precision,
+    pub limits: BlockLimits,
+    pub bounds: Aabb,
+    pub triangle_count: u64,
+    pub block_count: u32,
+    pub material_count: u32,
+    /// Start, length and checksum.
+    pub directory: Section,
+    pub materials: Section,
+    pub source: SourceRecord,
+}
+
+/// A part of the file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Section {
+    pub offset: u64,
+    pub bytes: u64,
+    pub checksum: u64,
+}
+
+impl Section {
+    fn end(self) -> Option<u64> {
+        self.offset.checked_add(self.bytes)
+    }
+}
+
+/// The shortest entry of the material table.
+pub(super) const MATERIAL_BYTES_MIN: u64 = 68;
+
+impl Header {
+    pub fn to_bytes(self) -> [u8; HEADER_BYTES] {
+        let mut out = Vec::with_capacity(HEADER_BYTES);
+        out.extend_from_slice(&SIGNATURE);
+        out.extend_from_slice(&FORMAT_VERSION.to_le_bytes());
+        out.extend_from_slice(&self.features.to_le_bytes());
+        out.extend_from_slice(&(HEADER_BYTES as u32).to_le_bytes());
+        out.extend_from_slice(&self.limits.block_bytes_max.to_le_bytes());
+        let (kind, exponent) = match self.precision {
+            Precision::Float32 => (0u32, 0),
+            Precision::Lattice(lattice) => (1, lattice.exponent),
+        };
+        out.extend_from_slice(&kind.to_le_bytes());
+        out.extend_from_slice(&exponent.to_le_bytes());
+        put_aabb(&self.bounds, &mut out);
+        out.extend_from_slice(&self.triangle_count.to_le_bytes());
+        out.extend_from_slice(&self.block_count.to_le_bytes());
+        out.extend_from_slice(&self.material_count.to_le_bytes());
+        for section in [self.directory, self.materials] {
+            let fields = [section.offset, section.bytes, section.checksum];
+            out.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
+        }
+        let SourceRecord { file_bytes, modified_ns, fingerprint } = self.source;
+        out.extend([file_bytes, modified_ns, fingerprint].iter().flat_map(|field| field.to_le_bytes()));
+        out.extend_from_slice(&(BLOCK_HEADER_BYTES as u16).to_le_bytes());
+        out.extend_from_slice(&(ENTRY_BYTES as u16).to_le_bytes());
+        debug_assert_eq!(out.len(), USED_BYTES);
+        out.resize(CHECKSUM_AT, 0);
+        out.extend_from_slice(&checksum(&out).to_le_bytes());
+        let mut bytes = [0; HEADER_BYTES];
+        bytes.copy_from_slice(&out);
+        bytes
+    }
+
+    /// Reads the header of a file of `file_bytes` bytes. Signature and version come first, so that another kind of
+    /// file or a newer version is called that and not damaged.
+    pub fn parse(bytes: &[u8; HEADER_BYTES], file_bytes: u64) -> Result<Header, ModelError> {
+        let damaged = |offset, reason| ModelError::Damaged { part: "header", offset, reason };
+        let require = |holds, offset, reason| if holds { Ok(()) } else { Err(damaged(offset, reason)) };
+        let mut fields = Fields(bytes);
+        if fields.take() != SIGNATURE {
+            return Err(ModelError::NotCompiled);
+        }
+        let version = fields.u32();
+        if version != FORMAT_VERSION {
+            return Err(ModelError::Version { found: version, supported: FORMAT_VERSION });
+        }
+        let mut stored = [0; 8];
+        stored.copy_from_slice(&bytes[CHECKSUM_AT..]);
+        let intact = u64::from_le_bytes(stored) == checksum(&bytes[..CHECKSUM_AT]);
+        require(intact, CHECKSUM_AT as u64, "its checksum is wrong")?;
+        let features = fields.u64();
+        if features & !FEATURES_KNOWN != 0 {
+            return Err(ModelError::Feature { feature: "a feature of a later version" });
+        }
+        if features & FEATURE_ZSTD != 0 && !Codec::Zstd.is_available() {
+            return Err(ModelError::Feature { feature: "the block codec zstd (feature `zstd`)" });
+        }
+        require(fields.u32() as usize == HEADER_BYTES, 24, "it has a wrong length")?;
+        let limits = BlockLimits { block_bytes_max: fields.u32() };
+        limits.validate().map_err(|reason| damaged(28, reason))?;
+        let precision = match (fields.u32(), fields.u32() as i32) {
+            (0, 0) => Precision::Float32,
+            (1, exponent @ Lattice::EXPONENT_MIN..=Lattice::EXPONENT_MAX) => {
+                Precision::Lattice(Lattice { exponent })
+            }
+            _ => return Err(damaged(32, "its precision is unknown")),
+        };
+        let bounds = fields.aabb();
+        require(is_sound(&bounds), 40, "the box of the model is not a box")?;
+        let triangle_count = fields.u64();
+        let (block_count, material_count) = (fields.u32(), fields.u32());
+        let mut section = || Section { offset: fields.u64(), bytes: fields.u64(), checksum: fields.u64() };
+        let (directory, materials) = (section(), section());
+        let source =
+            SourceRecord { file_bytes: fields.u64(), modified_ns: fields.u64(), fingerprint: fields.u64() };
+        let sizes = [usize::from(fields.u16()), usize::from(fields.u16())];
+        require(sizes == [BLOCK_HEADER_BYTES, ENTRY_BYTES], 176, "it has entries of a wrong length")?;
+        require(
+            bytes[USED_BYTES..CHECKSUM_AT].iter().all(|byte| *byte == 0),
+            180,
+            "a reserved byte is not zero",
+        )?;
+
+        // Counts are refuted by the length of the file before anything is allocated by them (I5).
+        require(block_count >= 1, 96, "it has no blocks")?;
+        require((1..=1 << 16).contains(&material_count), 100, "it has an impossible number of materials")?;
+        let directory_bytes = u64::from(block_count) * ENTRY_BYTES as u64;
+        require(
+            directory.bytes == directory_bytes,
+            112,
+            "the directory does not have one entry for each block",
+        )?;
+        require(
+            materials.bytes >= u64::from(material_count) * MATERIAL_BYTES_MIN,
+            136,
+            "the material table is shorter than its count",
+        )?;
+        let block_bytes_min = u64::from(block_count) * BLOCK_HEADER_BYTES as u64;
+        let blocks_end = directory.offset.checked_sub(HEADER_BYTES as u64);
+        require(
+            blocks_end.is_some_and(|bytes| bytes >= block_bytes_min),
+            104,
+            "the blocks do not fit before it",
+        )?;
+        require(directory.end() == Some(materials.offset), 128, "the materials do not follow the directory")?;
+        require(materials.end() == Some(file_bytes), 136, "the file has not the length that it should have")?;
+        Ok(Header {
+            features,
+            precision,
+            limits,
+            bounds,
+            triangle_count,
+            block_count,
+            material_count,
+            directory,
+            materials,
+            source,
+        })
+    }
+}

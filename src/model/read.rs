@@ -1,0 +1,115 @@
+//! From the bytes of a file to a [`Model`]. The bytes are untrusted (I5).
+
+use super::Model;
+use super::directory::{DirectoryReader, ENTRY_BYTES, EntryContext};
+use super::header::{HEADER_BYTES, Header, Section};
+use super::material::parse_table;
+use crate::error::ModelError;
+
+/// Directory entries that are read at a time.
+const CHUNK_BYTES: usize = 512 * ENTRY_BYTES;
+
+/// Reads a model through a function that copies bytes of the file, so that every kind of source parses in the same way.
+pub struct ModelReader;
+
+impl ModelReader {
+    /// Reads and checks everything but the blocks. `file_bytes` is the length of the file; `read(what, offset, into)`
+    /// fills `into` from `offset`, which lies inside the file together with its end, or fails.
+    ///
+    /// Allocates the directory (128 bytes for each block), the materials, and 64 KiB; no count is believed before the
+    /// length of the file allows for it.
+    ///
+    /// # Errors
+    /// What `read` returned, or [`ModelError`] turned into the caller's error.
+    pub fn read<E: From<ModelError>>(
+        file_bytes: u64,
+        mut read: impl FnMut(&'static str, u64, &mut [u8]) -> Result<(), E>,
+    ) -> Result<Model, E> {
+        let mut header = [0; HEADER_BYTES];
+        let present = usize::try_from(file_bytes).unwrap_or(HEADER_BYTES).min(HEADER_BYTES);
+        read("the header", 0, &mut header[..present])?;
+        if present < HEADER_BYTES {
+            return Err(too_short(&header[..present]).into());
+        }
+        let header = Header::parse(&header, file_bytes)?;
+
+        let mut chunk = vec![0; CHUNK_BYTES.min(section_bytes(header.directory)?)];
+        let mut blocks = Vec::with_capacity(header.block_count as usize);
+        let mut directory = DirectoryReader::new(EntryContext {
+            limits: header.limits,
+            bounds: header.bounds,
+            material_count: header.material_count,
+        });
+        let mut hash = xxhash_rust::xxh3::Xxh3Default::new();
+        let Section { offset, bytes, checksum } = header.directory;
+        let end = offset + bytes;
+        let mut at = offset;
+        // The checksum is known only after the last chunk; an entry that is wrong before that is an error either way,
+        // and the checksum is the better reason.
+        let mut parsed = Ok(());
+        while at < end {
+            let length = (end - at).min(chunk.len() as u64) as usize;
+            let piece = &mut chunk[..length];
+            read("the directory", at, piece)?;
+            hash.update(piece);
+            if parsed.is_ok() {
+                parsed = directory.parse(piece, at, &mut blocks);
+            }
+            at += length as u64;
+        }
+        let damaged = |part, offset, reason| ModelError::Damaged { part, offset, reason };
+        if hash.digest() != checksum {
+            return Err(damaged("directory", offset, "its checksum is wrong").into());
+        }
+        parsed?;
+        directory
+            .finish(offset, header.triangle_count)
+            .map_err(|reason| damaged("directory", offset, reason))?;
+
+        let Section { offset, bytes: _, checksum } = header.materials;
+        let mut table = vec![0; section_bytes(header.materials)?];
+        read("the material table", offset, &mut table)?;
+        if crate::block::checksum(&table) != checksum {
+            return Err(damaged("material table", offset, "its checksum is wrong").into());
+        }
+        Ok(Model {
+            precision: header.precision,
+            limits: header.limits,
+            bounds: header.bounds,
+            triangle_count: header.triangle_count,
+            blocks,
+            materials: parse_table(&table, header.material_count, offset)?,
+            source: header.source,
+        })
+    }
+
+    /// As [`ModelReader::read`], from a whole file in memory.
+    ///
+    /// # Errors
+    /// [`ModelError`].
+    pub fn parse(file: &[u8]) -> Result<Model, ModelError> {
+        ModelReader::read(file.len() as u64, |_, offset, into| {
+            // The reader asks only for bytes inside the length that it was given, so `offset` fits.
+            let start = offset as usize;
+            into.copy_from_slice(&file[start..start + into.len()]);
+            Ok(())
+        })
+    }
+}
+
+/// The length of a part, which the header's parser has compared with the length of the file.
+fn section_bytes(section: Section) -> Result<usize, ModelError> {
+    usize::try_from(section.bytes).map_err(|_| ModelError::Limit {
+        reason: "the file is too large for the address space of this machine",
+    })
+}
+
+fn too_short(start: &[u8]) -> ModelError {
+    let signature = &super::header::SIGNATURE;
+    let common = start.len().min(signature.len());
+    if start.is_empty() || start[..common] != signature[..common] {
+        ModelError::NotCompiled
+    } else {
+        ModelError::Damaged { part: "header", offset: start.len() as u64, reason: "the file ends inside it" }
+    }
+}

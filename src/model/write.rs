@@ -1,0 +1,181 @@
+//! From blocks to the bytes around them.
+
+use super::directory::{BlockEntry, ENTRY_BYTES, EntryContext, SUB_BOX_COUNT};
+use super::header::{FEATURE_ZSTD, HEADER_BYTES, Header, Section};
+use super::{MaterialRecord, SourceRecord, SubBoxes};
+use crate::block::{BlockLimits, Codec, checksum};
+use crate::error::ModelError;
+use crate::geom::{Aabb, Precision};
+use crate::units::{BlockId, Bytes};
+
+/// A block that [`crate::block::encode`] made, on its way into the file.
+#[derive(Clone, Copy, Debug)]
+pub struct NewBlock<'a> {
+    /// Its bytes.
+    pub stored: &'a [u8],
+    /// Triangles in it.
+    pub triangle_count: u32,
+    /// Vertices in it.
+    pub vertex_count: u32,
+    /// Tight box of its triangles in the positions that it decodes to.
+    pub bounds: Aabb,
+    /// See [`SubBoxes::quantize`].
+    pub sub_boxes: SubBoxes,
+    /// Lowest and highest material in it.
+    pub material_range: [u16; 2],
+}
+
+/// Collects what the header and the directory say while blocks are written one after the other. No I/O: the caller
+/// leaves [`HEADER_BYTES`] free at the start of the file, writes the stored blocks after them in the order in which they
+/// were given to [`ModelWriter::push`], then the tail, and at last the header. Without its header the file does not open.
+#[derive(Clone, Debug)]
+pub struct ModelWriter {
+    precision: Precision,
+    limits: BlockLimits,
+    codecs: u64,
+    bounds: Aabb,
+    triangle_count: u64,
+    end: u64,
+    blocks: Vec<BlockEntry>,
+}
+
+/// The bytes that complete a compiled file.
+#[derive(Clone, Debug)]
+pub struct SealedModel {
+    /// For the start of the file.
+    pub header: [u8; HEADER_BYTES],
+    /// For the end of the file, right after the last block: directory and materials.
+    pub tail: Vec<u8>,
+    /// Where the tail goes.
+    pub tail_offset: u64,
+    /// Length of the whole file.
+    pub file_bytes: u64,
+}
+
+impl ModelWriter {
+    /// An empty model.
+    ///
+    /// # Errors
+    /// [`ModelError::Limit`] if the limits cannot be used.
+    pub fn new(precision: Precision, limits: BlockLimits) -> Result<ModelWriter, ModelError> {
+        limits.validate().map_err(|reason| ModelError::Limit { reason })?;
+        Ok(ModelWriter {
+            precision,
+            limits,
+            codecs: 0,
+            bounds: Aabb::EMPTY,
+            triangle_count: 0,
+            end: HEADER_BYTES as u64,
+            blocks: Vec::new(),
+        })
+    }
+
+    /// Where the next block goes in the file.
+    pub fn next_offset(&self) -> u64 {
+        self.end
+    }
+
+    /// Blocks so far.
+    pub fn block_count(&self) -> usize {
+        self.blocks.len()
+    }
+
+    /// Triangles so far.
+    pub fn triangle_count(&self) -> u64 {
+        self.triangle_count
+    }
+
+    /// Box of the blocks so far.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// Memory that the writer holds, for the memory budget (I1); [`ModelWriter::seal`] takes as much again.
+    pub fn resident_bytes(&self) -> Bytes {
+        Bytes((self.blocks.capacity() * size_of::<BlockEntry>()) as u64)
+    }
+
+    /// Takes note of the next block, which the caller writes at [`ModelWriter::next_offset`] (as it was before).
+    ///
+    /// # Errors
+    /// [`ModelError::Limit`] if the block is not one that the file can hold.
+    pub fn push(&mut self, block: &NewBlock<'_>) -> Result<BlockId, ModelError> {
+        let limit = |reason| ModelError::Limit { reason };
+        let id = u32::try_from(self.blocks.len()).ok().filter(|id| *id < u32::MAX);
+        let id = id.ok_or(limit("a file holds at most 2^32 - 1 blocks; choose a larger block size"))?;
+        let codec = block.stored.get(1).copied().and_then(Codec::from_id);
+        let codec = codec.ok_or(limit("a block was not encoded by this library"))?;
+        let entry = BlockEntry {
+            offset: self.end,
+            stored_bytes: u32::try_from(block.stored.len()).unwrap_or(u32::MAX),
+            checksum: checksum(block.stored),
+            triangle_count: block.triangle_count,
+            vertex_count: block.vertex_count,
+            bounds: block.bounds,
+            sub_boxes: block.sub_boxes.0,
+            material_range: block.material_range,
+        };
+        // The size of the material table is not known yet; `seal` checks the materials.
+        let context = EntryContext { limits: self.limits, bounds: block.bounds, material_count: 1 << 16 };
+        entry.fault(self.end, &context).map_err(limit)?;
+        if codec == Codec::Zstd {
+            self.codecs |= FEATURE_ZSTD;
+        }
+        self.end += u64::from(entry.stored_bytes);
+        self.triangle_count += u64::from(entry.triangle_count);
+        self.bounds.merge(&entry.bounds);
+        self.blocks.push(entry);
+        Ok(BlockId(id))
+    }
+
+    /// Completes the file. If `materials` is empty, the default material is written.
+    ///
+    /// # Errors
+    /// [`ModelError::Limit`] if there is no block, there are too many materials, a name is too long, or a block uses a
+    /// material that is not in the table.
+    pub fn seal(self, materials: &[MaterialRecord], source: SourceRecord) -> Result<SealedModel, ModelError> {
+        let limit = |reason| ModelError::Limit { reason };
+        if self.blocks.is_empty() {
+            return Err(limit("the model has no triangles"));
+        }
+        let default = [MaterialRecord::default()];
+        let materials = if materials.is_empty() { &default } else { materials };
+        let count = u32::try_from(materials.len()).ok().filter(|count| *count <= 1 << 16);
+        let material_count = count.ok_or(limit("a file holds at most 65,536 materials"))?;
+        let highest = self.blocks.iter().map(|entry| entry.material_range[1]).max().unwrap_or(0);
+        if u32::from(highest) >= material_count {
+            return Err(limit("a block uses a material that is not in the table"));
+        }
+
+        let mut tail = Vec::with_capacity(self.blocks.len() * ENTRY_BYTES);
+        for entry in &self.blocks {
+            entry.put(&mut tail);
+        }
+        let directory_bytes = tail.len();
+        for material in materials {
+            material.put(&mut tail)?;
+        }
+        let section = |start: usize, end: usize| Section {
+            offset: self.end + start as u64,
+            bytes: (end - start) as u64,
+            checksum: checksum(&tail[start..end]),
+        };
+        let file_bytes = self.end + tail.len() as u64;
+        let header = Header {
+            features: self.codecs,
+            precision: self.precision,
+            limits: self.limits,
+            bounds: self.bounds,
+            triangle_count: self.triangle_count,
+            // `push` keeps the count below 2^32.
+            block_count: self.blocks.len() as u32,
+            material_count,
+            directory: section(0, directory_bytes),
+            materials: section(directory_bytes, tail.len()),
+            source,
+        };
+        Ok(SealedModel { header: header.to_bytes(), tail_offset: self.end, file_bytes, tail })
+    }
+}
+
+const _: () = assert!(size_of::<BlockEntry>() <= ENTRY_BYTES && SUB_BOX_COUNT == 8);

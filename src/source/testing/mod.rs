@@ -1,0 +1,6 @@
+//! Sources that misbehave and models made on the spot, for tests of this crate and of programs that use it. Everything
+//! is seeded and repeatable. Not for production use.
+
+mod naive;
+
+pub use naive::memory_model;
