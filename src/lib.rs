@@ -6,8 +6,26 @@
 //! [`budget::MemoryBudget`] that the caller sets, and hits are certified: no ray passes through a
 //! closed surface.
 //!
-//! The rooms below import only from rooms above them in this list; `docs/architecture.md` explains
-//! why and numbers the invariants (I1 to I8) that the code refers to.
+//! A room imports only from rooms above it in this list (`tests/tidy.rs` fails otherwise);
+//! `docs/architecture.md` explains why and numbers the invariants (I1 to I8) that the code refers to.
+//!
+//! 1. [`units`]: newtypes that cross room borders
+//! 1. [`error`]: every way in which the library can fail
+//! 1. [`budget`]: the one budget that all memory draws on
+//! 1. [`stats`]: exact counters
+//! 1. [`geom`]: rays, boxes, triangles, exact predicates, the lattice; numbers only
+//! 1. [`simd`]: eight lanes
+//! 1. [`block`]: one block, bytes to triangles and back; no I/O
+//! 1. [`model`]: the compiled file around the blocks; no I/O
+//! 1. [`import`]: streamed readers for model formats
+//! 1. [`procedural`]: models that are computed
+//! 1. [`compile`]: triangles to a compiled file in bounded memory
+//! 1. [`source`]: where a block's bytes come from
+//! 1. [`cache`]: blocks in preallocated slots
+//! 1. [`octree`]: the lazy octree
+//! 1. [`trace`]: queries
+//! 1. [`scene`]: camera, lights, the effects that a scene calls for
+//! 1. [`render`]: shading, tiles, images
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
