@@ -83,6 +83,7 @@ impl<'a> Feed<'a> {
     #[cold]
     fn make_room64(&mut self) -> Result<(), ImportError> {
         self.send_vertices()?;
+        self.check_vertex_count()?;
         if self.doubles.capacity() == 0 {
             self.doubles.reserve_exact(BATCH_COUNT);
             self.recent.reserve_exact(BATCH_COUNT);
@@ -93,8 +94,18 @@ impl<'a> Feed<'a> {
     #[cold]
     fn make_room32(&mut self) -> Result<(), ImportError> {
         self.send_vertices()?;
+        self.check_vertex_count()?;
         self.singles.reserve_exact(BATCH_COUNT);
         Ok(())
+    }
+
+    /// Indices have 32 bits. Checked per batch, which divides 2^32.
+    fn check_vertex_count(&self) -> Result<(), ImportError> {
+        if self.sent_vertices >> 32 == 0 {
+            return Ok(());
+        }
+        let reason = "more than 2^32 vertices; split the model".into();
+        Err(sink_error(crate::error::CompileError::Limit { reason }))
     }
 
     /// The batch of f32 vertices, with room for at least one more, for readers that fill it in bulk up to its
@@ -155,6 +166,11 @@ impl<'a> Feed<'a> {
             self.material = material;
         }
         Ok(())
+    }
+
+    /// The material of the triangles that come now.
+    pub(super) fn material(&self) -> Option<MaterialId> {
+        self.material
     }
 
     /// Position of a vertex that has come already.
@@ -225,6 +241,11 @@ impl<'a> Feed<'a> {
             self.sink.progress(consumed, total).map_err(sink_error)?;
         }
         Ok(())
+    }
+
+    /// Says that the reader starts again from the front of the file.
+    pub(super) fn restart_progress(&mut self) {
+        self.last_progress = 0;
     }
 
     /// Sends what is left and gives the report.

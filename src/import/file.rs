@@ -8,15 +8,20 @@ use std::time::UNIX_EPOCH;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::meter::Meter;
+use super::obj;
 use super::ply;
 use super::report::{ImportOptions, ImportReport};
 use super::sink::MeshSink;
 use crate::error::ImportError;
 use crate::model::SourceRecord;
 
+/// Opens the same bytes again, for files that name vertices before they come.
+pub(super) type Reopen<'a> = &'a mut dyn FnMut() -> Result<(Box<dyn Read>, Meter), ImportError>;
+
 /// The formats that can be imported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
+    Obj,
     Ply,
 }
 
@@ -28,6 +33,7 @@ fn kind(path: &Path) -> Option<(Format, bool)> {
         None => (name.as_str(), false),
     };
     let format = match stem.rsplit_once('.')?.1 {
+        "obj" => Format::Obj,
         "ply" => Format::Ply,
         _ => return None,
     };
@@ -51,6 +57,7 @@ pub fn import_file(
     let mut open = || open(path, compressed);
     let (reader, meter) = open()?;
     match format {
+        Format::Obj => obj::read(reader, meter, path, options, Some(&mut open), sink),
         Format::Ply => ply::read(reader, meter, path, options, Some(&mut open), sink),
     }
 }

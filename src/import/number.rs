@@ -1,7 +1,109 @@
-//! Decimal text to the nearest f64.
+//! Decimal text to the nearest f64, ties to even.
+//!
+//! Most numbers in model files have at most 15 digits and no exponent. Their digits are an integer below 2^53 and
+//! their scale is a power of ten up to 10^22, both exact in f64, so that one division rounds once and correctly
+//! (Clinger, "How to read floating point numbers accurately", 1990). Everything else goes to `fast-float2`.
 
-/// Reads a whole token as a number: the nearest f64 (ties to even). Takes every form that model files have
-/// (`1.`, `.5`, `+1`, `1e-5`, `nan`, `inf`); `None` for anything else.
+/// Powers of ten that are exact in f64.
+const EXACT_POWERS: [f64; 23] = [
+    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18,
+    1e19, 1e20, 1e21, 1e22,
+];
+
+/// Powers of ten by which up to eight new digits move the earlier ones.
+pub(super) const SHIFTS: [u64; 9] = [1, 10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000, 100_000_000];
+
+/// Longest token that is looked at as a number; longer digit strings do not occur in models.
+const TOKEN_BYTES_MAX: usize = 4096;
+
+/// Reads a whole token as a number. Takes every form that model files have: `1.`, `.5`, `+1`, `1e-5`, `nan`, `inf`
+/// and the `1.#INF`, `1.#IND` of old Windows programs; `None` for anything else.
 pub(super) fn parse(token: &[u8]) -> Option<f64> {
-    fast_float2::parse(token).ok()
+    if token.len() > TOKEN_BYTES_MAX {
+        return None;
+    }
+    let unsigned = match token {
+        [b'+', rest @ ..] if !matches!(rest.first(), Some(b'+' | b'-')) => rest,
+        _ => token,
+    };
+    if let Ok(value) = fast_float2::parse::<f64, _>(unsigned) {
+        return Some(value);
+    }
+    let (sign, rest) = match unsigned {
+        [b'-', rest @ ..] => (-1.0, rest),
+        rest => (1.0, rest),
+    };
+    let name = rest.strip_prefix(b"1.#")?;
+    if name.starts_with(b"INF") {
+        return Some(sign * f64::INFINITY);
+    }
+    [b"IND".as_slice(), b"QNAN", b"SNAN"].iter().any(|nan| name.starts_with(nan)).then_some(f64::NAN)
+}
+
+/// Up to eight decimal digits at `at`: their value and their count. Eight bytes must follow `at`.
+#[inline(always)]
+pub(super) fn digits(data: &[u8], at: usize) -> Option<(u32, usize)> {
+    let bytes = data.get(at..)?.first_chunk::<8>()?;
+    // Digits become 0 to 9; all other bytes become 10 or more.
+    let values = u64::from_le_bytes(*bytes) ^ 0x3030_3030_3030_3030;
+    // A carry out of a byte that is no digit spoils only later ones.
+    let others = (values.wrapping_add(0x7676_7676_7676_7676) | values) & 0x8080_8080_8080_8080;
+    let count = (others.trailing_zeros() / 8) as usize;
+    // Bring the last digit to the top, with zeros before the first. Two shifts, since one by 64 would do nothing.
+    let half = 4 * (8 - count as u32);
+    let aligned = (values << half) << half;
+    // Pairs, then fours, then eight.
+    let pairs = aligned.wrapping_mul(10).wrapping_add(aligned >> 8);
+    let low = (pairs & 0x0000_00FF_0000_00FF).wrapping_mul(0x000F_4240_0000_0064);
+    let high = ((pairs >> 16) & 0x0000_00FF_0000_00FF).wrapping_mul(0x0000_2710_0000_0001);
+    Some(((low.wrapping_add(high) >> 32) as u32, count))
+}
+
+/// Reads the number at `at` and gives the place after it, which is a blank, a tab or a line end. At least eight
+/// bytes that end any number must follow the valid ones.
+#[inline(always)]
+pub(super) fn scan(data: &[u8], at: usize) -> Option<(f64, usize)> {
+    let start = at;
+    let negative = *data.get(at)? == b'-';
+    let mut at = at + usize::from(negative);
+    let first = at;
+    let (value, count) = digits(data, at)?;
+    let mut mantissa = u64::from(value);
+    at += count;
+    if count == 8 {
+        let (value, count) = digits(data, at)?;
+        mantissa = mantissa * SHIFTS[count] + u64::from(value);
+        at += count;
+    }
+    let mut digit_count = at - first;
+    let mut fraction_count = 0;
+    if *data.get(at)? == b'.' {
+        at += 1;
+        let (value, count) = digits(data, at)?;
+        mantissa = mantissa.wrapping_mul(SHIFTS[count]).wrapping_add(u64::from(value));
+        fraction_count = count;
+        at += count;
+        if count == 8 {
+            let (value, count) = digits(data, at)?;
+            mantissa = mantissa.wrapping_mul(SHIFTS[count]).wrapping_add(u64::from(value));
+            fraction_count += count;
+            at += count;
+        }
+        digit_count += fraction_count;
+    }
+    // With more than 19 digits the mantissa may have wrapped; an exponent, or a 17th digit on either side, stops the
+    // scan at a byte that is no blank.
+    let ends = matches!(data.get(at)?, b' ' | b'\n' | b'\r' | b'\t');
+    if ends && digit_count > 0 && digit_count <= 19 && mantissa <= 1 << 53 {
+        let value = mantissa as f64 / EXACT_POWERS[fraction_count];
+        return Some((if negative { -value } else { value }, at));
+    }
+    scan_any(data, start)
+}
+
+/// The numbers that [`scan`] does not take itself.
+#[cold]
+fn scan_any(data: &[u8], start: usize) -> Option<(f64, usize)> {
+    let length = data[start..].iter().position(|byte| matches!(byte, b' ' | b'\n' | b'\r' | b'\t'))?;
+    Some((parse(&data[start..start + length])?, start + length))
 }

@@ -92,4 +92,11 @@ impl ImportReport {
             self.warnings.push(Warning { path: path.to_path_buf(), line, text: text.into() });
         }
     }
+
+    /// Notes a warning unless it is the same, but for the line, as one that is kept.
+    pub(super) fn warn_once(&mut self, path: &std::path::Path, line: Option<u64>, text: String) {
+        if !self.warnings.iter().any(|warning| warning.text == text && warning.path == path) {
+            self.warn(path, line, text);
+        }
+    }
 }

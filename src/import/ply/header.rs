@@ -1,6 +1,7 @@
 //! The text that every PLY file starts with: encoding, elements, properties.
 
 use crate::error::ImportError;
+use crate::import::text::{shown, words};
 use crate::import::window::Window;
 
 /// How the records after the header are written.
@@ -152,7 +153,7 @@ struct Parser {
 impl Parser {
     /// Takes one line; true for `end_header`.
     fn line(&mut self, line: &[u8]) -> Result<bool, String> {
-        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let mut words = words(line);
         let keyword = words.next().unwrap_or_default();
         match keyword {
             b"" | b"ply" | b"obj_info" => {}
@@ -205,13 +206,4 @@ impl Parser {
         }
         Ok(false)
     }
-}
-
-/// Bytes of a file as a message shows them.
-fn shown(bytes: &[u8]) -> String {
-    let mut text = String::from_utf8_lossy(&bytes[..bytes.len().min(80)]).into_owned();
-    if bytes.len() > 80 {
-        text.push_str("...");
-    }
-    text
 }

@@ -15,14 +15,12 @@ use std::path::Path;
 use self::header::{Element, Header};
 use self::values::Values;
 use super::feed::Feed;
+use super::file::Reopen;
 use super::meter::Meter;
 use super::report::{ImportOptions, ImportReport};
 use super::sink::MeshSink;
 use super::window::Window;
 use crate::error::ImportError;
-
-/// Opens the same bytes again, for files whose faces come before their vertices.
-pub(super) type Reopen<'a> = &'a mut dyn FnMut() -> Result<(Box<dyn Read>, Meter), ImportError>;
 
 /// Reads a PLY file from `reader` into `sink`; `name` stands in messages, and material libraries are looked for
 /// beside it.

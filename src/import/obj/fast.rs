@@ -1,0 +1,140 @@
+//! The lines that make up nearly all of a file, in their plainest form. Whatever is not plain gives `None` and is
+//! read by `statement`, which also words the errors.
+//!
+//! The slices are padded with newlines, so that every scan ends.
+
+use crate::import::number;
+
+/// Place of the first byte from `at` that is not a blank or a tab.
+#[inline(always)]
+fn skip_blanks(data: &[u8], mut at: usize) -> usize {
+    while matches!(data.get(at), Some(b' ' | b'\t')) {
+        at += 1;
+    }
+    at
+}
+
+/// Place after the line end that stands at `at`, perhaps after blanks.
+#[inline(always)]
+fn line_end(data: &[u8], at: usize) -> Option<usize> {
+    if *data.get(at)? == b'\n' {
+        return Some(at + 1);
+    }
+    let at = skip_blanks(data, at);
+    match data.get(at..at + 2)? {
+        [b'\n', _] => Some(at + 1),
+        [b'\r', b'\n'] => Some(at + 2),
+        _ => None,
+    }
+}
+
+/// The rest of a `v` line: three numbers and up to four more (weight, colour), which are checked and dropped.
+/// Gives the position and the start of the next line.
+#[inline(always)]
+pub(super) fn vertex(data: &[u8], at: usize) -> Option<([f64; 3], usize)> {
+    let (x, at) = number::scan(data, skip_blanks(data, at))?;
+    let (y, at) = number::scan(data, skip_blanks(data, at))?;
+    let (z, mut at) = number::scan(data, skip_blanks(data, at))?;
+    for _ in 0..5 {
+        if let Some(next) = line_end(data, at) {
+            return Some(([x, y, z], next));
+        }
+        (_, at) = number::scan(data, skip_blanks(data, at))?;
+    }
+    None
+}
+
+/// What the indices of a face count from.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Numbering {
+    /// Vertices above the face: -1 is the last of them.
+    pub(super) above: u64,
+    /// Vertices that may be named: positive indices are at most this.
+    pub(super) known: u64,
+}
+
+impl Numbering {
+    /// The vertex of a 1-based or negative index; `None` if there is none.
+    #[inline(always)]
+    pub(super) fn vertex(self, magnitude: u64, negative: bool) -> Option<u32> {
+        let vertex = if negative && magnitude > 0 {
+            self.above.checked_sub(magnitude)?
+        } else {
+            magnitude.checked_sub(1)?
+        };
+        // The feed keeps `known` within 2^32.
+        if vertex < self.known { u32::try_from(vertex).ok() } else { None }
+    }
+}
+
+/// The rest of an `f` line. Gives the start of the next line; the corners are in `three` where there are three of
+/// them, which is told by an empty `corners`, else in `corners`.
+#[inline(always)]
+pub(super) fn face(
+    data: &[u8],
+    at: usize,
+    numbering: Numbering,
+    corners: &mut Vec<u32>,
+    corners_max: usize,
+) -> Option<([u32; 3], usize)> {
+    corners.clear();
+    let (a, at) = corner(data, skip_blanks(data, at), numbering)?;
+    let (b, at) = corner(data, skip_blanks(data, at), numbering)?;
+    let (c, mut at) = corner(data, skip_blanks(data, at), numbering)?;
+    let three = [a, b, c];
+    if let Some(next) = line_end(data, at) {
+        return Some((three, next));
+    }
+    corners.extend_from_slice(&three);
+    loop {
+        let (corner, after) = corner(data, skip_blanks(data, at), numbering)?;
+        if corners.len() == corners_max {
+            return None;
+        }
+        corners.push(corner);
+        at = after;
+        if let Some(next) = line_end(data, at) {
+            return Some((three, next));
+        }
+    }
+}
+
+/// One corner, `a`, `a/b`, `a//c` or `a/b/c`, and the place after it.
+#[inline(always)]
+fn corner(data: &[u8], at: usize, numbering: Numbering) -> Option<(u32, usize)> {
+    let negative = *data.get(at)? == b'-';
+    let (magnitude, mut at) = integer(data, at + usize::from(negative))?;
+    let vertex = numbering.vertex(magnitude, negative)?;
+    if data[at] == b'/' {
+        at = reference(data, at + 1)?;
+        if data[at] == b'/' {
+            at = reference(data, at + 1)?;
+        }
+    }
+    matches!(data[at], b' ' | b'\n' | b'\r' | b'\t').then_some((vertex, at))
+}
+
+/// A run of one to sixteen digits, and the place after it, which is inside `data`.
+#[inline(always)]
+fn integer(data: &[u8], at: usize) -> Option<(u64, usize)> {
+    let (value, count) = number::digits(data, at)?;
+    match count {
+        0 => None,
+        8 => {
+            let (more, count) = number::digits(data, at + 8)?;
+            Some((u64::from(value) * number::SHIFTS[count] + u64::from(more), at + 8 + count))
+        }
+        _ => Some((value.into(), at + count)),
+    }
+    .filter(|(_, at)| *at < data.len())
+}
+
+/// Passes over the index of a texture coordinate or a normal, which may be missing.
+#[inline(always)]
+fn reference(data: &[u8], at: usize) -> Option<usize> {
+    let at = at + usize::from(*data.get(at)? == b'-');
+    match integer(data, at) {
+        Some((_, at)) => Some(at),
+        None => (at < data.len()).then_some(at),
+    }
+}

@@ -1,0 +1,166 @@
+//! One line of any form, with errors in words.
+
+use super::parser::{Parser, Pass};
+use crate::error::ImportError;
+use crate::import::number;
+use crate::import::polygon::CORNERS_MAX;
+use crate::import::text::{shown, words};
+
+impl Parser<'_> {
+    /// Reads the line at `at`, with those that it continues on, and gives the start of the next; `None` if it
+    /// continues beyond `end`, where more of the stream is to come. `offset` is that of `data` in the stream.
+    pub(super) fn line(
+        &mut self,
+        data: &[u8],
+        at: usize,
+        end: usize,
+        ended: bool,
+        offset: u64,
+    ) -> Result<Option<usize>, ImportError> {
+        let comment = data[at..end].trim_ascii_start().starts_with(b"#");
+        let mut joined = std::mem::take(&mut self.joined);
+        joined.clear();
+        let mut start = at;
+        let mut line_count = 0;
+        let (text, next) = loop {
+            let stop = memchr::memchr2(b'\n', b'\r', &data[start..end]).map_or(end, |length| start + length);
+            let next = match &data[stop..end] {
+                [b'\r', b'\n', ..] => stop + 2,
+                [] => stop,
+                _ => stop + 1,
+            };
+            line_count += 1;
+            let text = &data[start..stop];
+            match text {
+                [text @ .., b'\\'] if !comment => {
+                    if next == end && !ended {
+                        self.joined = joined;
+                        return Ok(None);
+                    }
+                    joined.extend_from_slice(text);
+                    joined.push(b' ');
+                    start = next;
+                }
+                text if joined.is_empty() => break (text, next),
+                text => {
+                    joined.extend_from_slice(text);
+                    break (joined.as_slice(), next);
+                }
+            }
+        };
+        if !comment {
+            self.statement(text, offset + at as u64)?;
+        }
+        self.joined = joined;
+        self.line += line_count;
+        Ok(Some(next))
+    }
+
+    /// Reads a statement, which starts at `offset` in the stream.
+    fn statement(&mut self, text: &[u8], offset: u64) -> Result<(), ImportError> {
+        let text = text.trim_ascii();
+        let keyword = words(text).next().unwrap_or_default();
+        let rest = &text[keyword.len()..];
+        let counts = self.pass != Pass::Faces;
+        let ignored = &mut self.feed.report.ignored;
+        match keyword {
+            b"" => return Ok(()),
+            b"v" => {
+                let position = self.position(rest)?;
+                self.vertex(position)?;
+            }
+            b"f" | b"fo" if self.pass == Pass::Vertices => {}
+            b"f" | b"fo" => self.face(rest, offset)?,
+            b"usemtl" if self.pass == Pass::Vertices => {}
+            b"usemtl" => {
+                let material = self.materials.named(rest, self.line, &mut self.feed)?;
+                self.feed.set_material(material)?;
+            }
+            b"mtllib" if self.pass == Pass::Vertices => {}
+            b"mtllib" => self.materials.load_named(rest, Some(self.line), &mut self.feed.report),
+            b"vn" => ignored.normals += u64::from(counts),
+            b"vt" => ignored.texture_coordinates += u64::from(counts),
+            b"l" | b"p" => ignored.lines_and_points += u64::from(counts),
+            b"g" | b"o" | b"s" => {}
+            _ => {
+                ignored.unknown += u64::from(counts);
+                self.first_unknown.get_or_insert_with(|| (self.line, shown(keyword)));
+                return Ok(());
+            }
+        }
+        self.known_count += 1;
+        Ok(())
+    }
+
+    /// The position of a `v`: three numbers, and up to four more (weight, colour) that are checked and dropped.
+    fn position(&self, rest: &[u8]) -> Result<[f64; 3], ImportError> {
+        let mut numbers = [0.0; 7];
+        let mut count = 0;
+        for word in arguments(rest) {
+            let number = number::parse(word)
+                .ok_or_else(|| self.error(self.line, format!("`{}` is not a number", shown(word))))?;
+            match numbers.get_mut(count) {
+                Some(place) => *place = number,
+                None => return Err(self.error(self.line, "`v` with more than seven numbers")),
+            }
+            count += 1;
+        }
+        match numbers {
+            [x, y, z, ..] if count >= 3 => Ok([x, y, z]),
+            _ => Err(self.error(self.line, format!("`v` with {count} numbers; three are needed"))),
+        }
+    }
+
+    /// Takes an `f`.
+    fn face(&mut self, rest: &[u8], offset: u64) -> Result<(), ImportError> {
+        let numbering = self.numbering();
+        self.corners.clear();
+        for word in arguments(rest) {
+            let index = corner(word).ok_or_else(|| {
+                let reason = "is not a corner of a face (a, a/b, a//c or a/b/c)";
+                self.error(self.line, format!("`{}` {reason}", shown(word)))
+            })?;
+            if index == 0 {
+                return Err(self.error(self.line, "a face names vertex 0; indices start at 1"));
+            }
+            let Some(vertex) = numbering.vertex(index.unsigned_abs(), index < 0) else {
+                if self.may_postpone && self.pass == Pass::Whole && index > 0 {
+                    self.postpone(offset, self.line);
+                    return Ok(());
+                }
+                let known = numbering.known;
+                let reason = match self.pass {
+                    Pass::Faces => format!("a face names vertex {index}, but the file has {known}"),
+                    _ => format!("a face names vertex {index}, but only {known} have come"),
+                };
+                return Err(self.error(self.line, reason));
+            };
+            if self.corners.len() == CORNERS_MAX {
+                let reason = format!("a face with more than {CORNERS_MAX} corners");
+                return Err(self.error(self.line, reason));
+            }
+            self.corners.push(vertex);
+        }
+        self.feed.face(&self.corners)
+    }
+}
+
+/// Words of a statement up to a comment that follows it.
+fn arguments(text: &[u8]) -> impl Iterator<Item = &[u8]> {
+    words(text).take_while(|word| !word.starts_with(b"#"))
+}
+
+/// The vertex index of a corner; the other indices must be whole numbers or missing.
+fn corner(word: &[u8]) -> Option<i64> {
+    let mut parts = word.split(|byte| *byte == b'/');
+    let index = integer(parts.next()?)?;
+    let references_fit =
+        parts.clone().count() <= 2 && parts.all(|part| part.is_empty() || integer(part).is_some());
+    references_fit.then_some(index)
+}
+
+/// A decimal integer of at most 18 digits.
+fn integer(text: &[u8]) -> Option<i64> {
+    let text = std::str::from_utf8(text).ok()?;
+    if text.len() > 19 { None } else { text.parse().ok() }
+}
