@@ -217,7 +217,8 @@ mod tests {
     use std::collections::HashMap;
 
     use super::*;
-    use crate::procedural::MeshBuffer;
+    use crate::import::MeshBuffer;
+    use crate::procedural::open_edges;
 
     fn mesh(n: u32, tessellation: u32) -> (Gears, MeshBuffer) {
         let gears = Gears::with_tessellation(n, Tessellation::new(tessellation).unwrap()).unwrap();
@@ -251,8 +252,8 @@ mod tests {
     fn wheels_are_closed_and_the_floor_is_open() {
         let (_, mesh) = mesh(2, 48);
         let floor = 96;
-        assert_eq!(mesh.open_edges(0..floor), 16);
-        assert_eq!(mesh.open_edges(floor..mesh.triangles.len()), 0);
+        assert_eq!(open_edges(&mesh.triangles[0..floor]), 16);
+        assert_eq!(open_edges(&mesh.triangles[floor..]), 0);
     }
 
     #[test]

@@ -90,7 +90,8 @@ impl Shape for GlassStack {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::procedural::MeshBuffer;
+    use crate::import::MeshBuffer;
+    use crate::procedural::open_edges;
 
     #[test]
     fn plates_are_closed_and_ordered() {
@@ -99,8 +100,8 @@ mod tests {
         stack.emit(&mut mesh).unwrap();
         assert_eq!(mesh.vertices.len() as u64, stack.vertex_count());
         assert_eq!(mesh.triangles.len() as u64, stack.triangle_count());
-        assert_eq!(mesh.open_edges(0..60), 0);
-        assert_eq!(mesh.open_edges(60..62), 4);
+        assert_eq!(open_edges(&mesh.triangles[0..60]), 0);
+        assert_eq!(open_edges(&mesh.triangles[60..62]), 4);
         let volume: f64 = (0..60)
             .map(|triangle| {
                 let [a, b, c] = mesh.corners(triangle);

@@ -1,16 +1,15 @@
 //! A closed sphere of triangles of about one size, anywhere in space.
 
-use super::Shape;
+use super::shape::{Shape, plain_material};
 use super::tessellation::{Pattern, Tessellation};
 use crate::error::CompileError;
 use crate::import::MeshSink;
-use crate::model::MaterialRecord;
 use crate::units::MaterialId;
 
 /// An icosahedron with every edge halved `subdivisions` times and every vertex moved to the sphere, in f64.
 ///
 /// 20 x 4^`subdivisions` triangles, 10 x 4^`subdivisions` + 2 vertices; closed, seen counter-clockwise from outside.
-/// Material 0 is the default one.
+/// Material 0 is plain grey.
 #[derive(Clone, Copy, Debug)]
 pub struct Icosphere {
     radius: f64,
@@ -50,7 +49,7 @@ impl Shape for Icosphere {
 
     fn emit(&self, sink: &mut dyn MeshSink) -> Result<(), CompileError> {
         let Icosphere { radius, translation, tessellation } = *self;
-        sink.material(MaterialRecord::default())?;
+        sink.material(plain_material())?;
         let to_sphere = |p: [f64; 3]| {
             let scale = radius / p.iter().map(|x| x * x).sum::<f64>().sqrt();
             [0, 1, 2].map(|axis| translation[axis] + scale * p[axis])
@@ -98,7 +97,8 @@ const ICOSAHEDRON: [[u32; 3]; 20] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::procedural::MeshBuffer;
+    use crate::import::MeshBuffer;
+    use crate::procedural::open_edges;
 
     #[test]
     fn closed_with_exact_counts_and_every_vertex_on_the_sphere() {
@@ -109,7 +109,7 @@ mod tests {
             assert_eq!(mesh.triangles.len(), 20 << (2 * subdivisions));
             assert_eq!(mesh.triangles.len() as u64, sphere.triangle_count());
             assert_eq!(mesh.vertices.len() as u64, sphere.vertex_count());
-            assert_eq!(mesh.open_edges(0..mesh.triangles.len()), 0);
+            assert_eq!(open_edges(&mesh.triangles), 0);
             for vertex in &mesh.vertices {
                 let square: f64 = vertex.iter().zip(&translation).map(|(x, t)| (x - t) * (x - t)).sum();
                 assert!((square.sqrt() - 1000.0).abs() < 1e-8);

@@ -3,13 +3,14 @@
 //! Every model is a [`Shape`]: it knows its exact counts and writes itself into a
 //! [`MeshSink`](crate::import::MeshSink) as a stream, the same stream every time and on every machine
 //! (trigonometry comes from `libm`, random numbers from a generator of this room). [`export`] writes any of them
-//! to a model file, [`MeshBuffer`] keeps a small one in memory.
+//! to a model file.
 
+mod closed;
 pub mod export;
 mod gears;
 mod glass_stack;
 mod icosphere;
-mod mesh_buffer;
+
 mod needles;
 mod random;
 mod shape;
@@ -18,10 +19,10 @@ mod terrain;
 mod tessellation;
 mod torus_field;
 
+pub use closed::open_edges;
 pub use gears::Gears;
 pub use glass_stack::GlassStack;
 pub use icosphere::Icosphere;
-pub use mesh_buffer::MeshBuffer;
 pub use needles::Needles;
 pub use shape::Shape;
 pub use soup::Soup;

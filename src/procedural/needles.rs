@@ -1,14 +1,13 @@
 //! Slivers: triangles that naive tests get wrong.
 
-use super::Shape;
 use super::random::{Random, cross, perpendicular};
+use super::shape::{Shape, plain_material};
 use crate::error::CompileError;
 use crate::import::{MeshSink, VertexBatch};
-use crate::model::MaterialRecord;
 use crate::units::MaterialId;
 
 /// Closed needles at random places and directions inside about -2 ..= 2, in f32: each two tips and a three-cornered
-/// waist, 6 triangles, 5 vertices, length 1 and thickness `thickness`. Material 0 is the default one.
+/// waist, 6 triangles, 5 vertices, length 1 and thickness `thickness`. Material 0 is plain grey.
 #[derive(Clone, Copy, Debug)]
 pub struct Needles {
     count: u32,
@@ -39,7 +38,7 @@ impl Shape for Needles {
     }
 
     fn emit(&self, sink: &mut dyn MeshSink) -> Result<(), CompileError> {
-        sink.material(MaterialRecord::default())?;
+        sink.material(plain_material())?;
         let mut random = Random::new(self.seed);
         for needle in 0..self.count {
             let middle = random.in_cube();
@@ -68,7 +67,8 @@ impl Shape for Needles {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::procedural::MeshBuffer;
+    use crate::import::MeshBuffer;
+    use crate::procedural::open_edges;
 
     #[test]
     fn closed_thin_and_deterministic() {
@@ -79,7 +79,7 @@ mod tests {
         };
         let mesh = make(1);
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (250, 300));
-        assert_eq!(mesh.open_edges(0..300), 0);
+        assert_eq!(open_edges(&mesh.triangles[0..300]), 0);
         assert!(mesh.vertices.iter().flatten().all(|x| x.abs() <= 2.0));
         let length = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
         for triangle in 0..300 {

@@ -2,6 +2,7 @@
 
 use crate::error::CompileError;
 use crate::import::MeshSink;
+use crate::model::MaterialRecord;
 
 /// A model that is computed instead of read.
 ///
@@ -25,4 +26,9 @@ pub trait Shape {
     /// # Errors
     /// Those of the sink.
     fn emit(&self, sink: &mut dyn MeshSink) -> Result<(), CompileError>;
+}
+
+/// The default material, named, since nameless ones cannot be written to a file.
+pub(super) fn plain_material() -> MaterialRecord {
+    MaterialRecord { name: "plain".to_string(), ..MaterialRecord::default() }
 }

@@ -1,15 +1,14 @@
 //! Triangles without order.
 
-use super::Shape;
 use super::random::Random;
+use super::shape::{Shape, plain_material};
 use super::tessellation::BATCH;
 use crate::error::CompileError;
 use crate::import::{MeshSink, VertexBatch};
-use crate::model::MaterialRecord;
 use crate::units::MaterialId;
 
 /// `count` unconnected random triangles with corners within `size` of random points of the cube -1 ..= 1, in f32.
-/// Three vertices each. Material 0 is the default one.
+/// Three vertices each. Material 0 is plain grey.
 #[derive(Clone, Copy, Debug)]
 pub struct Soup {
     count: u32,
@@ -42,7 +41,7 @@ impl Shape for Soup {
     }
 
     fn emit(&self, sink: &mut dyn MeshSink) -> Result<(), CompileError> {
-        sink.material(MaterialRecord::default())?;
+        sink.material(plain_material())?;
         let mut random = Random::new(self.seed);
         let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
         for first in (0..self.count).step_by(BATCH) {
@@ -66,7 +65,8 @@ impl Shape for Soup {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::procedural::MeshBuffer;
+    use crate::import::MeshBuffer;
+    use crate::procedural::open_edges;
 
     #[test]
     fn counts_range_and_determinism() {

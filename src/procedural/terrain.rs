@@ -1,14 +1,13 @@
 //! A seeded height field.
 
-use super::Shape;
 use super::random::Random;
+use super::shape::{Shape, plain_material};
 use crate::error::CompileError;
 use crate::import::{MeshSink, VertexBatch};
-use crate::model::MaterialRecord;
 use crate::units::MaterialId;
 
 /// A landscape over the square -1 ..= 1 with heights along z of at most a quarter, in f32: `cells` x `cells`
-/// squares of two triangles each, sent row by row (memory holds one row). Material 0 is the default one.
+/// squares of two triangles each, sent row by row (memory holds one row). Material 0 is plain grey.
 #[derive(Clone, Copy, Debug)]
 pub struct Terrain {
     cells: u32,
@@ -68,7 +67,7 @@ impl Shape for Terrain {
     }
 
     fn emit(&self, sink: &mut dyn MeshSink) -> Result<(), CompileError> {
-        sink.material(MaterialRecord::default())?;
+        sink.material(plain_material())?;
         let width = self.cells + 1;
         let along = |k: u32| 2.0 * f64::from(k) / f64::from(self.cells) - 1.0;
         let mut vertices = Vec::with_capacity(width as usize);
@@ -96,7 +95,8 @@ impl Shape for Terrain {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::procedural::MeshBuffer;
+    use crate::import::MeshBuffer;
+    use crate::procedural::open_edges;
 
     #[test]
     fn counts_border_heights_and_determinism() {
@@ -107,7 +107,7 @@ mod tests {
         };
         let mesh = make(33, 7);
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (34 * 34, 2 * 33 * 33));
-        assert_eq!(mesh.open_edges(0..mesh.triangles.len()), 4 * 33);
+        assert_eq!(open_edges(&mesh.triangles), 4 * 33);
         assert!(mesh.vertices.iter().all(|v| v[2].abs() <= 0.25));
         let spread = mesh.vertices.iter().map(|v| v[2]).fold(f64::MIN, f64::max);
         assert!(spread > 0.02, "{spread}");

@@ -1,15 +1,14 @@
 //! Many closed rings, tilted at random.
 
-use super::Shape;
 use super::random::{Random, cross, perpendicular};
+use super::shape::{Shape, plain_material};
 use crate::error::CompileError;
 use crate::import::{MeshSink, VertexBatch};
-use crate::model::MaterialRecord;
 use crate::units::MaterialId;
 
 /// `per_edge`^3 tori on a cubic grid inside -1 ..= 1, each turned at random and with a seeded fine roughness, in f32.
 ///
-/// Each torus has 2 x `around` x `across` triangles and is closed. Memory holds one torus. Material 0 is the default one.
+/// Each torus has 2 x `around` x `across` triangles and is closed. Memory holds one torus. Material 0 is plain grey.
 #[derive(Clone, Copy, Debug)]
 pub struct TorusField {
     per_edge: u32,
@@ -87,7 +86,7 @@ impl Shape for TorusField {
     }
 
     fn emit(&self, sink: &mut dyn MeshSink) -> Result<(), CompileError> {
-        sink.material(MaterialRecord::default())?;
+        sink.material(plain_material())?;
         let mut random = Random::new(self.seed);
         let mut first_vertex = 0;
         for k in 0..self.per_edge {
@@ -107,7 +106,8 @@ impl Shape for TorusField {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::procedural::MeshBuffer;
+    use crate::import::MeshBuffer;
+    use crate::procedural::open_edges;
 
     #[test]
     fn closed_inside_the_cube_and_deterministic() {
@@ -118,7 +118,7 @@ mod tests {
         };
         let mesh = make(3);
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8 * 96, 16 * 96));
-        assert_eq!(mesh.open_edges(0..mesh.triangles.len()), 0);
+        assert_eq!(open_edges(&mesh.triangles), 0);
         assert!(mesh.vertices.iter().flatten().all(|x| x.abs() <= 1.0));
         let volume: f64 = (0..mesh.triangles.len())
             .map(|triangle| {
