@@ -1,8 +1,7 @@
 //! A ray made ready for exact triangle tests, and the f64 stage of the test.
 
-use super::float::gamma;
-use super::triangle_exact;
-use super::{Ray, TriangleHit};
+use super::float::{U64, gamma};
+use super::{Ray, TriangleHit, double, triangle_exact};
 
 /// Coordinates are exact multiples of this, `2^-252`, or are taken as such; every f64 from `2^-200` up is one.
 pub(super) const COORDINATE_UNIT: f64 = f64::from_bits((1023 - 252) << 52);
@@ -18,6 +17,11 @@ const EDGE_ERROR: f64 = 2.0 * gamma(10);
 pub(super) const PLANE_ERROR: f64 = gamma(9);
 /// `t` stands if (permanent / value) of numerator and denominator add up to at most this: `900 gamma(9) < 0.989 * 2^-40`.
 const T_CONDITION_MAX: f64 = 900.0;
+/// The same for double-length numbers: `64 u^2 * 2^59 = 2^-41`.
+const T_CONDITION_MAX_DOUBLE: f64 = (1u64 << 59) as f64;
+/// Error of the edge functions in double-length numbers relative to that in f64: `64 u^2 / 9.1 u < 8 u` (`docs/numerics.md`,
+/// "Double length").
+const DOUBLE_ERROR: f64 = 8.0 * U64;
 /// `u` and `v` stand if the edge functions' error is at most this part of the determinant.
 const WEIGHT_ERROR_MAX: f64 = 1.0 / (1u64 << 25) as f64;
 
@@ -36,8 +40,8 @@ const WEIGHT_ERROR_MAX: f64 = 1.0 / (1u64 << 25) as f64;
 /// Outside of that: a finer component of origin or direction is rounded, once, to a multiple of `2^-252` (origin) or of
 /// `2^-570` of the largest (direction), so the hits are those of a neighbouring ray, on every triangle the same one: still no
 /// leak. A ray with an origin beyond `2^252`, or one that [`Ray::validate`] refuses because of its origin or direction,
-/// hits nothing. A triangle with a coordinate beyond `2^252` or not finite is not hit; with a coordinate finer than `2^-252` the
-/// decision may be wrong by that much. Nothing panics and no result is NaN.
+/// hits nothing. A triangle with a coordinate that is not finite is not hit; with one beyond `2^252` or finer than `2^-252` it
+/// may be decided wrongly. Nothing panics and no result is NaN.
 #[derive(Clone, Copy, Debug)]
 pub struct RayFrame {
     pub(super) origin: [f64; 3],
@@ -50,6 +54,16 @@ pub struct RayFrame {
     pub t_max: f64,
     /// [`EDGE_ERROR`] times the sum of the direction's magnitudes.
     edge_error: f64,
+}
+
+/// What the f64 stage knows about its own errors.
+struct Bounds {
+    /// Of each edge function.
+    error: f64,
+    /// Permanent of the numerator of `t`.
+    numerator_permanent: f64,
+    /// Permanent of the determinant.
+    permanent: f64,
 }
 
 /// `x` rounded to a multiple of `unit`, a power of two; unchanged (and exact) from `2^52 unit` up.
@@ -140,7 +154,7 @@ impl RayFrame {
     /// most `2^-1074`. `u` and `v` are off by at most `2^-24` and satisfy `0 <= u`, `0 <= v`, `u + v <= 1` in f64. In the
     /// triangle's plane the point they give is off by about `gamma(10)` of the distance to the origin over the cosine of incidence.
     ///
-    /// `exact_fallbacks` grows by one if f64 left the answer open and exact arithmetic gave it.
+    /// `exact_fallbacks` grows by one if f64 left the answer open and double-length or exact arithmetic gave it.
     #[inline]
     pub fn intersect(&self, vertices: &[[f64; 3]; 3], exact_fallbacks: &mut u64) -> Option<TriangleHit> {
         let [a, b, c] = *vertices;
@@ -156,16 +170,13 @@ impl RayFrame {
         let edge = max(max_abs(ab), max_abs(ac));
         let error = self.edge_error * edge * (2.0 * max_abs(to_a) + edge);
         let (least, most) = (min(min(u, v), w), max(max(u, v), w));
-        if !(least > error || most < -error) {
-            // Two functions of certain and opposite sign. NaN and infinite bounds go to the exact stage.
-            if least < -error && most > error {
-                return None;
-            }
-            *exact_fallbacks += 1;
-            return triangle_exact::intersect(self, vertices);
+        if least < -error && most > error {
+            // Two functions of certain and opposite sign.
+            return None;
         }
+        // NaN and infinite bounds fail every comparison below that would accept, and so reach the exact stage.
+        let inside = least > error || most < -error;
 
-        // All three have the same certain sign: the line meets the inside of the triangle.
         let inverse = 1.0 / determinant;
         let numerator = dot(normal, to_a);
         let t = numerator * inverse;
@@ -177,15 +188,50 @@ impl RayFrame {
         let numerator_permanent = dot(normal_permanent, to_a.map(f64::abs));
         let permanent = dot(normal_permanent, self.direction.map(f64::abs));
         let t_stands = numerator_permanent + permanent * t.abs() <= T_CONDITION_MAX * numerator.abs();
-        if t_stands && error <= WEIGHT_ERROR_MAX * determinant.abs() {
+        if inside && t_stands && error <= WEIGHT_ERROR_MAX * determinant.abs() {
             return self.accept(t, v * inverse, w * inverse);
         }
-        // A ray that leaves the surface it starts on: t is certainly negative, however inexact.
-        let ahead = if least > 0.0 { numerator } else { -numerator };
-        if ahead < -(PLANE_ERROR * numerator_permanent) && self.t_min >= 0.0 {
+        // A secondary ray that leaves the surface it starts on: t is certainly negative, however inexact.
+        if numerator.abs() > PLANE_ERROR * numerator_permanent
+            && determinant.abs() > PLANE_ERROR * permanent
+            && (numerator < 0.0) != (determinant < 0.0)
+            && self.t_min >= 0.0
+        {
             return None;
         }
         *exact_fallbacks += 1;
+        self.intersect_double(vertices, Bounds { error, numerator_permanent, permanent })
+    }
+
+    /// The same determinants in double-length numbers: settles needles, grazing rays and near misses of an edge at about a tenth
+    /// of the price of exact arithmetic, which is left with exact zeros and worse.
+    #[cold]
+    #[inline(never)]
+    fn intersect_double(&self, vertices: &[[f64; 3]; 3], bounds: Bounds) -> Option<TriangleHit> {
+        let [a, b, c] = *vertices;
+        let direction = self.direction.map(double::Double::from);
+        let to_a = double::difference(a, self.origin);
+        let (ab, ac) = (double::difference(b, a), double::difference(c, a));
+        let moment = double::cross(&direction, &to_a);
+        let (w, v) = (double::dot(&ab, &moment), -double::dot(&ac, &moment));
+        let normal = double::cross(&ab, &ac);
+        let determinant = double::dot(&normal, &direction);
+        let u = determinant.minus(v).minus(w);
+
+        let error = DOUBLE_ERROR * bounds.error;
+        let [u, v, w, determinant] = [u, v, w, determinant].map(double::Double::value);
+        let (least, most) = (min(min(u, v), w), max(max(u, v), w));
+        if least < -error && most > error {
+            return None;
+        }
+        let numerator = double::dot(&normal, &to_a).value();
+        let inverse = 1.0 / determinant;
+        let t = numerator * inverse;
+        let t_stands = bounds.numerator_permanent + bounds.permanent * t.abs()
+            <= T_CONDITION_MAX_DOUBLE * numerator.abs();
+        if (least > error || most < -error) && t_stands && error <= WEIGHT_ERROR_MAX * determinant.abs() {
+            return self.accept(t, v * inverse, w * inverse);
+        }
         triangle_exact::intersect(self, vertices)
     }
 

@@ -2,6 +2,7 @@
 //! that hold the only epsilons, exact predicates, and the global lattice.
 
 mod aabb;
+mod double;
 mod expansion;
 mod float;
 mod frame;

@@ -1,0 +1,8 @@
+//! The certified triangle test against exact integer arithmetic (`dashu`), never against our own expansions.
+
+mod oracle;
+mod samples;
+
+mod certified;
+mod offset;
+mod watertight;

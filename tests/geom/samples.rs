@@ -1,0 +1,256 @@
+//! Rays and triangles: easy, hard and meant to break.
+
+use outcrop::geom::Ray;
+
+pub type Triangle = [[f64; 3]; 3];
+
+/// SplitMix64: a test names its seed, so that a failure can be repeated.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ z >> 31
+    }
+
+    pub fn below(&mut self, count: u64) -> u64 {
+        self.bits() % count
+    }
+
+    /// Between -1 and 1.
+    pub fn signed(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    pub fn vector(&mut self, size: f64) -> [f64; 3] {
+        [(); 3].map(|()| self.signed() * size)
+    }
+
+    pub fn integers(&mut self, most: i64) -> [f64; 3] {
+        [(); 3].map(|()| (self.below(2 * most as u64 + 1) as i64 - most) as f64)
+    }
+
+    /// Any mantissa, exponent in `low .. high`, now and then 0.
+    pub fn wild(&mut self, low: i32, high: i32) -> f64 {
+        let exponent = low + self.below((high - low) as u64) as i32;
+        let bits = self.bits() & !(0x7ff << 52) | ((exponent + 1023) as u64) << 52;
+        // Short mantissas make products that cancel exactly.
+        let bits = if self.below(2) == 0 { bits & !0 << 48 } else { bits };
+        if self.below(8) == 0 { 0.0 } else { f64::from_bits(bits) }
+    }
+
+    pub fn wilds(&mut self, low: i32, high: i32) -> [f64; 3] {
+        [(); 3].map(|()| self.wild(low, high))
+    }
+}
+
+pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+pub fn along(a: [f64; 3], t: f64, d: [f64; 3]) -> [f64; 3] {
+    [a[0] + t * d[0], a[1] + t * d[1], a[2] + t * d[2]]
+}
+
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+pub fn unit(a: [f64; 3]) -> [f64; 3] {
+    let length = (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]).sqrt();
+    a.map(|x| x / length)
+}
+
+/// A point of the triangle: inside, on an edge, at a vertex, or a little outside.
+pub fn point_of(random: &mut Random, [a, b, c]: &Triangle) -> [f64; 3] {
+    let (mut u, mut v) = match random.below(4) {
+        0 => (0.0, 0.0),
+        1 => (0.5 * random.signed() + 0.5, 0.0),
+        _ => (0.5 * random.signed() + 0.5, 0.5 * random.signed() + 0.5),
+    };
+    if u + v > 1.0 && random.below(4) > 0 {
+        (u, v) = (1.0 - u, 1.0 - v);
+    }
+    [0, 1, 2].map(|axis| a[axis] + u * (b[axis] - a[axis]) + v * (c[axis] - a[axis]))
+}
+
+fn aimed(origin: [f64; 3], target: [f64; 3]) -> Ray {
+    Ray::new(origin, minus(target, origin))
+}
+
+fn translated(triangle: Triangle, by: [f64; 3]) -> Triangle {
+    triangle.map(|p| along(p, 1.0, by))
+}
+
+fn to_f32(triangle: Triangle) -> Triangle {
+    triangle.map(|p| p.map(|x| f64::from(x as f32)))
+}
+
+/// The families of [`sample`], by name.
+pub const FAMILIES: [&str; 14] = [
+    "random",
+    "f32 vertices",
+    "exact hits of vertices and edges",
+    "collinear and double vertices",
+    "needles at grazing incidence",
+    "1e-3 detail at 1e7",
+    "small integers",
+    "directions of extreme length",
+    "extreme f32 coordinates",
+    "whole proven domain",
+    "origin on the surface",
+    "parallel to the plane",
+    "far and tiny",
+    "extreme lattices",
+];
+
+/// A ray and a triangle of a family. All inside the proven domain.
+pub fn sample(family: usize, random: &mut Random) -> (Ray, Triangle) {
+    match family {
+        0 => {
+            let triangle = [(); 3].map(|()| random.vector(1.0));
+            (aimed(random.vector(3.0), point_of(random, &triangle)), triangle)
+        }
+        1 => {
+            let triangle = to_f32([(); 3].map(|()| random.vector(100.0)));
+            (aimed(random.vector(300.0), point_of(random, &triangle)), triangle)
+        }
+        2 => {
+            // Even vertices and integer steps: midpoints and directions are exact.
+            let triangle = [(); 3].map(|()| random.integers(1000).map(|x| 4.0 * x));
+            let [a, b, c] = triangle;
+            let target = match random.below(3) {
+                0 => a,
+                1 => [0, 1, 2].map(|axis| 0.5 * (a[axis] + b[axis])),
+                _ => [0, 1, 2].map(|axis| 0.25 * (b[axis] + 3.0 * c[axis])),
+            };
+            let direction = random.integers(1000);
+            let direction = if direction == [0.0; 3] { [1.0, 2.0, 3.0] } else { direction };
+            let steps = random.below(1000) as f64;
+            (Ray::new(along(target, -steps, direction), direction), triangle)
+        }
+        3 => {
+            let (a, d) = (random.integers(50), random.integers(50));
+            let mut triangle = [a, along(a, random.below(5) as f64, d), along(a, random.below(5) as f64, d)];
+            if random.below(2) == 0 {
+                // One unit in the last place away from collinear.
+                triangle[2][0] =
+                    if triangle[2][0] == 0.0 { 2f64.powi(-200) } else { triangle[2][0].next_up() };
+            }
+            (aimed(random.integers(90), point_of(random, &triangle)), triangle)
+        }
+        4 => {
+            let size = 10.0;
+            let a = random.vector(size);
+            let (length, width) = (unit(random.vector(1.0)), unit(random.vector(1.0)));
+            let b = along(a, size, length);
+            let c = along(along(a, size * 0.5 * (random.signed() + 1.0), length), size * 1e-5, width);
+            let triangle = to_f32([a, b, c]);
+            let normal = unit(cross(length, width));
+            let slope = along(unit(random.vector(1.0)), 0.0, normal);
+            let flat = cross(normal, slope);
+            let direction = along(flat, 1e-4 * random.signed(), normal);
+            let target = point_of(random, &triangle);
+            (Ray::new(along(target, -100.0, direction), direction), triangle)
+        }
+        5 => {
+            let base = random.vector(1e7);
+            let triangle = translated([(); 3].map(|()| random.vector(1e-3)), base);
+            let distance = if random.below(2) == 0 { 1.0 } else { 1e4 };
+            let origin = along(base, 1.0, random.vector(distance));
+            (aimed(origin, point_of(random, &triangle)), triangle)
+        }
+        6 => {
+            let triangle = [(); 3].map(|()| random.integers(3));
+            let direction = random.integers(2);
+            let direction = if direction == [0.0; 3] { [0.0, 0.0, -1.0] } else { direction };
+            (Ray::new(random.integers(4), direction), triangle)
+        }
+        7 => {
+            let (mut ray, triangle) = sample(random.below(2) as usize, random);
+            // Powers of two keep the aim; the finest are left with a few bits of direction.
+            let exponent = [-1060, -1022, -700, 700, 1010][random.below(5) as usize];
+            let (half, rest) = (2f64.powi(exponent / 2), 2f64.powi(exponent - exponent / 2));
+            ray.direction = ray.direction.map(|x| x * half * rest);
+            if ray.direction == [0.0; 3] {
+                ray.direction[2] = f64::from_bits(1);
+            }
+            (ray, triangle)
+        }
+        8 => {
+            let low = random.below(2) == 0;
+            let pick = |random: &mut Random| {
+                if low {
+                    f64::from(f32::from_bits(random.below(100) as u32 | (random.bits() as u32 & 1 << 31)))
+                } else {
+                    f64::from((random.signed() * 3.4e38) as f32)
+                }
+            };
+            let triangle = [(); 3].map(|()| [(); 3].map(|()| pick(random)));
+            let origin = [(); 3].map(|()| pick(random));
+            let ray = aimed(origin, point_of(random, &triangle));
+            (if ray.direction == [0.0; 3] { Ray::new(origin, [1.0, 0.0, 0.0]) } else { ray }, triangle)
+        }
+        9 => {
+            let (low, high) = match random.below(3) {
+                0 => (-200, 252),
+                1 => (-200, -190),
+                _ => (248, 252),
+            };
+            let triangle = [(); 3].map(|()| random.wilds(low, high));
+            let origin = random.wilds(low, high);
+            let (aim, ratio) = (random.below(2), random.below(2));
+            let direction = match (aim, ratio) {
+                (0, _) => minus(point_of(random, &triangle), origin),
+                (_, 0) => random.wilds(0, 3),
+                _ => random.wilds(-250, 250),
+            };
+            // point_of rounds below the grid; the direction must stay inside the domain.
+            let longest = direction.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+            let direction = direction.map(|x| if x.abs() < longest * 2f64.powi(-518) { 0.0 } else { x });
+            (Ray::new(origin, if longest == 0.0 { [0.0, 1.0, 0.0] } else { direction }), triangle)
+        }
+        10 => {
+            let far = [1.0, 1e3, 1e7][random.below(3) as usize];
+            let base = random.vector(far);
+            let triangle = translated([(); 3].map(|()| random.vector(1.0)), base);
+            let mut origin = point_of(random, &triangle);
+            if random.below(2) == 0 {
+                origin[0] = origin[0].next_up();
+            }
+            (Ray::new(origin, random.vector(1.0)), triangle)
+        }
+        11 => {
+            let triangle = [(); 3].map(|()| random.integers(20));
+            let [a, b, c] = triangle;
+            let (ab, ac) = (minus(b, a), minus(c, a));
+            let direction = along(ab, random.integers(3)[0], ac);
+            let mut ray = Ray::new(along(a, -3.0, direction), direction);
+            if random.below(2) == 0 {
+                // Meets the plane somewhere near 3 steps ahead.
+                ray.direction[random.below(3) as usize] += 2f64.powi(-40);
+                ray.origin[random.below(3) as usize] += 2f64.powi(-39);
+            }
+            if ray.direction == [0.0; 3] {
+                ray.direction[0] = 1.0;
+            }
+            (ray, triangle)
+        }
+        12 => {
+            let triangle = to_f32([(); 3].map(|()| random.vector(1e-6)));
+            (aimed(random.vector(1e9), point_of(random, &triangle)), triangle)
+        }
+        _ => {
+            let exponent = [-200, -100, 0, 100, 200][random.below(5) as usize];
+            let step = 2f64.powi(exponent);
+            let size = [4i64, 1 << 24, 1 << 52][random.below(3) as usize];
+            let triangle = [(); 3].map(|()| random.integers(size).map(|x| x * step));
+            let origin = random.integers(size).map(|x| x * step);
+            let ray = aimed(origin, point_of(random, &triangle));
+            (if ray.direction == [0.0; 3] { Ray::new(origin, [0.0, 1.0, 0.0]) } else { ray }, triangle)
+        }
+    }
+}
