@@ -1,5 +1,6 @@
 //! Collects vertices and triangles into batches and sends them on in an order that the sink accepts.
 
+use super::polygon::{Cut, Cutter};
 use super::report::ImportReport;
 use super::sink::{MeshSink, VertexBatch};
 use crate::error::ImportError;
@@ -28,6 +29,10 @@ pub(super) struct Feed<'a> {
     material: Option<MaterialId>,
     default_material: Option<MaterialId>,
     last_progress: u64,
+    /// For cutting polygons: distinct neighbouring corners, their positions, and the rest.
+    ring: Vec<u32>,
+    positions: Vec<[f64; 3]>,
+    cutter: Cutter,
     /// What is reported in the end.
     pub(super) report: ImportReport,
 }
@@ -51,6 +56,9 @@ impl<'a> Feed<'a> {
             material: None,
             default_material: None,
             last_progress: 0,
+            ring: Vec::new(),
+            positions: Vec::new(),
+            cutter: Cutter::default(),
             report: ImportReport::default(),
         }
     }
@@ -127,19 +135,51 @@ impl<'a> Feed<'a> {
         Ok(())
     }
 
-    /// Appends a face of any number of corners, cut into triangles. Its vertices have come already.
+    /// Appends a face of any number of corners up to `CORNERS_MAX`, cut into triangles. Its vertices have come
+    /// already.
     pub(super) fn face(&mut self, corners: &[u32]) -> Result<(), ImportError> {
         if let [a, b, c] = *corners {
             return self.triangle([a, b, c]);
         }
-        if corners.len() < 3 {
-            self.report.degenerate_faces += 1;
-            return Ok(());
+        // Cutting needs a ring without repeated neighbours.
+        let mut ring = std::mem::take(&mut self.ring);
+        ring.clear();
+        for corner in corners {
+            if ring.last() != Some(corner) {
+                ring.push(*corner);
+            }
         }
+        while ring.len() > 1 && ring.first() == ring.last() {
+            ring.pop();
+        }
+        let result = match ring[..] {
+            [] | [_] | [_, _] => {
+                self.report.degenerate_faces += 1;
+                Ok(())
+            }
+            [a, b, c] => self.triangle([a, b, c]),
+            _ => self.polygon(&ring),
+        };
+        self.ring = ring;
+        result
+    }
+
+    /// Cuts a polygon and appends the triangles.
+    fn polygon(&mut self, ring: &[u32]) -> Result<(), ImportError> {
+        let mut positions = std::mem::take(&mut self.positions);
+        positions.clear();
+        for vertex in ring {
+            positions.push(self.position(*vertex)?);
+        }
+        let mut cutter = std::mem::take(&mut self.cutter);
+        let (cut, triangles) = cutter.cut(&positions);
         self.report.polygons += 1;
-        for pair in corners[1..].windows(2) {
-            self.triangle([corners[0], pair[0], pair[1]])?;
+        self.report.fans += u64::from(cut == Cut::Fan);
+        for triangle in triangles {
+            self.triangle(triangle.map(|corner| ring[corner as usize]))?;
         }
+        self.positions = positions;
+        self.cutter = cutter;
         Ok(())
     }
 

@@ -12,6 +12,7 @@ use super::obj;
 use super::ply;
 use super::report::{ImportOptions, ImportReport};
 use super::sink::MeshSink;
+use super::stl;
 use crate::error::ImportError;
 use crate::model::SourceRecord;
 
@@ -23,6 +24,7 @@ pub(super) type Reopen<'a> = &'a mut dyn FnMut() -> Result<(Box<dyn Read>, Meter
 enum Format {
     Obj,
     Ply,
+    Stl,
 }
 
 /// Format of a file by its extension, in any case, and whether it is compressed.
@@ -35,6 +37,7 @@ fn kind(path: &Path) -> Option<(Format, bool)> {
     let format = match stem.rsplit_once('.')?.1 {
         "obj" => Format::Obj,
         "ply" => Format::Ply,
+        "stl" => Format::Stl,
         _ => return None,
     };
     Some((format, compressed))
@@ -59,6 +62,7 @@ pub fn import_file(
     match format {
         Format::Obj => obj::read(reader, meter, path, options, Some(&mut open), sink),
         Format::Ply => ply::read(reader, meter, path, options, Some(&mut open), sink),
+        Format::Stl => stl::read(reader, meter, path, options, sink),
     }
 }
 

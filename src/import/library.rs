@@ -102,6 +102,21 @@ impl<'a> Materials<'a> {
         self.entries.len()
     }
 
+    /// The library's only material, for models whose faces name none; with a warning, the default one if the caller
+    /// named a library that holds several.
+    pub(super) fn only(&mut self, feed: &mut Feed<'_>) -> Result<Option<MaterialId>, ImportError> {
+        match self.entries.len() {
+            0 => Ok(None),
+            1 => self.indexed(0, feed).map(Some),
+            count => {
+                let text =
+                    format!("faces name no materials and the library has {count}; the default one is used");
+                feed.report.warn(self.model, None, text);
+                Ok(None)
+            }
+        }
+    }
+
     /// The material of that name, for `usemtl`; with a warning, the default one if there is none.
     pub(super) fn named(
         &mut self,

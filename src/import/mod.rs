@@ -12,12 +12,17 @@ mod ply;
 mod polygon;
 mod report;
 mod sink;
+mod stl;
 mod text;
+mod triangles;
 mod window;
 
 pub use buffer::MeshBuffer;
 pub use file::{import_file, source_record};
 pub use obj::read_obj;
 pub use ply::read_ply;
+pub use polygon::CORNERS_MAX;
 pub use report::{IgnoredCounts, ImportOptions, ImportReport, WARNINGS_MAX, Warning};
 pub use sink::{MeshSink, VertexBatch};
+pub use stl::read_stl;
+pub use triangles::{Corners, TriangleSink, import_triangles};
