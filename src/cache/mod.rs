@@ -16,6 +16,9 @@ mod slot_cache;
 mod table;
 mod word;
 
+#[cfg(test)]
+mod schedules;
+
 pub use geometry_cache::{CacheStats, GeometryCache};
 pub use lru::Lru;
 pub use pin::{Pin, PinOwner};

@@ -113,7 +113,7 @@ pub(super) use checked::Checked;
 #[cfg(test)]
 mod checked {
     use super::*;
-    use shuttle::sync::{Condvar, Mutex, MutexGuard, atomic::AtomicU64};
+    use shuttle::sync::{Condvar, Mutex, MutexGuard, PoisonError, TryLockError, atomic::AtomicU64};
 
     /// The model checker's. It explores interleavings, with sequentially consistent memory; the orderings are argued
     /// in comments.
@@ -121,8 +121,8 @@ mod checked {
 
     atomic_word!(AtomicU64);
 
-    /// Shuttle's locks poison as `std`'s do; here no code panics while it holds one.
-    const NOT_POISONED: &str = "no panic under a lock";
+    // Shuttle's locks poison as `std`'s do, and by mistake too: all its threads run on one thread of the machine, so a
+    // guard that is dropped while another thread unwinds looks as if it were dropped by that. Hence `into_inner`.
 
     impl Primitives for Checked {
         type Word = AtomicU64;
@@ -135,11 +135,15 @@ mod checked {
         }
 
         fn lock<T: Send>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-            mutex.lock().expect(NOT_POISONED)
+            mutex.lock().unwrap_or_else(PoisonError::into_inner)
         }
 
         fn try_lock<T: Send>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {
-            mutex.try_lock().ok()
+            match mutex.try_lock() {
+                Ok(guard) => Some(guard),
+                Err(TryLockError::Poisoned(error)) => Some(error.into_inner()),
+                Err(TryLockError::WouldBlock) => None,
+            }
         }
 
         fn condvar() -> Condvar {
@@ -147,7 +151,7 @@ mod checked {
         }
 
         fn wait<'a, T: Send + 'a>(condvar: &Condvar, guard: MutexGuard<'a, T>) -> MutexGuard<'a, T> {
-            condvar.wait(guard).expect(NOT_POISONED)
+            condvar.wait(guard).unwrap_or_else(PoisonError::into_inner)
         }
 
         fn notify_all(condvar: &Condvar) {

@@ -28,8 +28,6 @@ pub(super) struct Table<P: ReplacementPolicy, S: Primitives> {
     /// How many threads look for a slot after a first look was in vain. Nearly always 0, and then giving a pin back
     /// costs no more than reading it.
     seekers: Padded<S::Word>,
-    /// How often a last pin was given back while there were seekers.
-    releases: Padded<S::Word>,
     /// Hits that found the ledger locked and left it alone.
     quiet_hits: Padded<S::Word>,
 }
@@ -75,7 +73,6 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
             loaded: std::array::from_fn(|_| S::condvar()),
             slot_changed: S::condvar(),
             seekers: word(),
-            releases: word(),
             quiet_hits: word(),
         })
     }
@@ -163,12 +160,13 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
         &self.loaded[block.0 as usize % WAITING_ROOMS]
     }
 
-    /// A slot that is free or can be made free now. The first look in vain makes the caller a seeker, which it stays
-    /// until it returns from [`Table::pin`].
+    /// A slot that is free or can be made free now. A first look in vain makes the caller a seeker, which it stays until
+    /// it returns from [`Table::pin`].
     ///
-    /// [`Search::AllPinned`] is certain: if the second look sees every resident slot pinned, and no last pin was given
-    /// back from its start to its end, then at its end every one of these slots was pinned, or a thread was just about
-    /// to report that it had given its pin back (and a pin counts as held until its drop returns).
+    /// [`Search::AllPinned`] after the second look is certain, although others pin and unpin during it: whoever gives
+    /// back the last pin of a slot that the look has passed sees a seeker and waits for the ledger, inside the drop of
+    /// the pin. So each slot that was seen pinned stands for a pin of its own that was held until the look ended, if a
+    /// pin counts as held until its drop returns.
     fn take_slot<'t>(&'t self, ledger: &mut Ledger<P>, seeker: &mut Option<Seeker<'t, S>>) -> Search {
         if let Some(slot) = ledger.free.pop() {
             return Search::Found(slot);
@@ -177,16 +175,7 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
             return Search::Found(slot);
         }
         seeker.get_or_insert_with(|| Seeker::new(&self.seekers.0));
-        loop {
-            let before = self.releases.0.load(Ordering::SeqCst);
-            if let Some(slot) = self.evict(ledger) {
-                return Search::Found(slot);
-            }
-            // Not endless: a thread that was here once waits for the ledger before it can be here again.
-            if self.releases.0.load(Ordering::SeqCst) == before {
-                return Search::AllPinned;
-            }
-        }
+        self.evict(ledger).map_or(Search::AllPinned, Search::Found)
     }
 
     /// One look through the policy's slots, best victim first.
@@ -271,7 +260,6 @@ impl<P: ReplacementPolicy, S: Primitives> PinOwner for Table<P, S> {
     fn unpin(&self, block: BlockId) {
         // The order of the two is what `Arena::evict` explains.
         if self.arena.unpin(block) && self.seekers.0.load(Ordering::SeqCst) > 0 {
-            self.releases.0.fetch_add(1, Ordering::SeqCst);
             // A seeker holds the ledger from its look to its wait, so taking it here means that no notice is lost.
             let _ledger = S::lock(&self.ledger);
             S::notify_all(&self.slot_changed);
