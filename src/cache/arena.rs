@@ -13,6 +13,7 @@ use crate::units::BlockId;
 
 use super::shim::{AtomicWord, Primitives};
 use super::word::{Phase, Word};
+use super::{Pin, PinOwner};
 
 /// Alignment of every slot: a cache line, and the widest vector load.
 pub(super) const SLOT_ALIGNMENT: usize = 64;
@@ -120,11 +121,12 @@ impl<S: Primitives> Arena<S> {
         Loading { arena: self, block, slot }
     }
 
-    /// T4: pins `block` if it is ready. The one atomic read-modify-write of a hit (more only if threads collide).
+    /// T4: pins `block` if it is ready; its slot and the pin, which goes back to `owner`. The one atomic
+    /// read-modify-write of a hit (more only if threads collide).
     ///
     /// # Panics
     /// If it has 2^30 - 1 pins: somebody forgets them instead of dropping them.
-    pub(super) fn pin(&self, block: BlockId) -> Option<(u32, &[u8])> {
+    pub(super) fn pin<'a>(&'a self, block: BlockId, owner: &'a dyn PinOwner) -> Option<(u32, Pin<'a>)> {
         let word = self.word(block);
         let mut seen = Word(word.load(Ordering::Relaxed));
         loop {
@@ -135,7 +137,10 @@ impl<S: Primitives> Arena<S> {
             let pinned = seen.0 + Word::ONE_PIN;
             // Acquire: pairs with the Release of T2, so that the filled bytes are seen.
             match word.compare_exchange(seen.0, pinned, Ordering::Acquire, Ordering::Relaxed) {
-                Ok(_) => return Some((seen.slot(), self.pinned_bytes(seen.slot()))),
+                Ok(_) => {
+                    let bytes = self.pinned_bytes(seen.slot());
+                    return Some((seen.slot(), Pin::new(owner, block, bytes)));
+                }
                 Err(now) => seen = Word(now),
             }
         }
@@ -145,12 +150,12 @@ impl<S: Primitives> Arena<S> {
     fn pinned_bytes(&self, slot: u32) -> &[u8] {
         // SAFETY: the range is inside the allocation and initialised (zeroed at first). The block in the slot is ready
         // and has the caller's pin, so no FreeSlot and no Loading of this slot exists until the pin is given back (T6
-        // needs 0 pins), and only those give `&mut`. Callers hand the bytes out through `Pin` only, which lends them for
-        // no longer than it lives.
+        // needs 0 pins), and only those give `&mut`. The callers wrap the bytes in a `Pin`, which lends them for no longer
+        // than it lives, and `unpin` is called only when one of these is dropped.
         unsafe { std::slice::from_raw_parts(self.slot(slot).as_ptr(), self.slot_bytes) }
     }
 
-    /// T5: gives back a pin; whether it was the last. Called by the owner of a pin only.
+    /// T5: gives back a pin; whether it was the last. Only for the owners that pins were made with, when these call.
     pub(super) fn unpin(&self, block: BlockId) -> bool {
         // Release: what was read through the pin is read before T6 gives the slot away. SeqCst: see `evict`.
         let before = Word(self.word(block).fetch_sub(Word::ONE_PIN, Ordering::SeqCst));
@@ -206,11 +211,11 @@ impl<'a, S: Primitives> Loading<'a, S> {
         }
     }
 
-    /// T2: the block is ready, with one pin for the caller. Under the table's lock.
-    pub(super) fn publish(self) -> &'a [u8] {
+    /// T2: the block is ready, with one pin, which goes back to `owner`. Under the table's lock.
+    pub(super) fn publish(self, owner: &'a dyn PinOwner) -> Pin<'a> {
         // Release: whoever sees the word as ready sees the filled bytes.
         self.arena.word(self.block).store(Word::ready(self.slot.index, 1).0, Ordering::Release);
-        self.arena.pinned_bytes(self.slot.index)
+        Pin::new(owner, self.block, self.arena.pinned_bytes(self.slot.index))
     }
 
     /// T3: the block is absent again. Under the table's lock.

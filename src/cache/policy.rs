@@ -3,7 +3,7 @@
 use crate::units::BlockId;
 
 /// Orders the resident slots by how soon they should make room. A plain sequential structure: the cache calls it under
-/// its own short lock, so an implementation needs no synchronisation and must not block.
+/// its own short lock, so an implementation needs no synchronisation; it must neither block nor panic.
 ///
 /// The methods see every event that replacement policies in use need: recency lists (LRU, 2Q), reference bits and
 /// hands (CLOCK, SIEVE), queues with ghosts of evicted blocks (S3-FIFO; `admit` names the block). Nothing that an

@@ -87,9 +87,7 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
 
     /// See [`GeometryCache::try_pin`](super::GeometryCache::try_pin).
     pub(super) fn try_pin(&self, block: BlockId) -> Option<Pin<'_>> {
-        let (slot, bytes) = self.arena.pin(block)?;
-        // Made first: if the policy panics, the pin is still given back.
-        let pin = Pin::new(self, block, bytes);
+        let (slot, pin) = self.arena.pin(block, self)?;
         // A hit never waits: if the ledger is busy, the block's recency stays a little older than the truth.
         match S::try_lock(&self.ledger) {
             Some(mut ledger) => ledger.hit(slot),
@@ -126,9 +124,9 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
             let waiting_room = match self.arena.peek(block).phase() {
                 Phase::Ready => {
                     // T6 needs the ledger, so what is ready stays ready.
-                    if let Some((slot, bytes)) = self.arena.pin(block) {
+                    if let Some((slot, pin)) = self.arena.pin(block, self) {
                         ledger.hit(slot);
-                        return Ok(Claim::Resident(Pin::new(self, block, bytes)));
+                        return Ok(Claim::Resident(pin));
                     }
                     continue;
                 }
@@ -316,7 +314,7 @@ impl<'t, P: ReplacementPolicy, S: Primitives> Filling<'t, P, S> {
         // `loading` is taken here or in `drop`, and both end `self`.
         let loading = self.loading.take().expect("a load ends once");
         let (block, slot) = (loading.block(), loading.slot());
-        let pin = Pin::new(table, block, loading.publish());
+        let pin = loading.publish(table);
         ledger.loading -= 1;
         ledger.stats.filled_bytes += table.slot_bytes() as u64;
         ledger.policy.admit(slot, block);
