@@ -249,7 +249,7 @@ fn a_pin_that_moves_during_the_search_is_not_counted_twice() {
             }
         });
     };
-    shuttle::check_random(program, 20_000);
+    shuttle::check_random(program, 10_000);
 }
 
 /// All slots are pinned but one, which is being filled; the fill goes on until a thread that looks for a slot has one.
