@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use outcrop::import::{ImportOptions, MeshBuffer, import_file};
+use outcrop::model::MaterialRecord;
 use outcrop::procedural::export::{write_obj, write_ply};
 use outcrop::procedural::{Gears, GlassStack, Icosphere, Shape, Soup, Terrain};
 
@@ -23,6 +24,11 @@ fn imported(path: &Path) -> MeshBuffer {
     mesh
 }
 
+/// The material of each triangle: a reader may number them in the order of their use.
+fn triangle_materials(mesh: &MeshBuffer) -> Vec<&MaterialRecord> {
+    mesh.triangle_materials.iter().map(|id| &mesh.materials[usize::from(id.0)]).collect()
+}
+
 #[test]
 fn through_ply_with_materials() {
     let folder = tempfile::tempdir().unwrap();
@@ -35,10 +41,9 @@ fn through_ply_with_materials() {
     for shape in shapes {
         write_ply(shape, &path, true).unwrap();
         let (wrote, read) = (emitted(shape), imported(&path));
-        assert_eq!(wrote.vertices, read.vertices);
-        assert_eq!(wrote.triangles, read.triangles);
-        assert_eq!(wrote.triangle_materials, read.triangle_materials);
-        assert_eq!(wrote.materials, read.materials);
+        assert!(wrote.vertices == read.vertices);
+        assert!(wrote.triangles == read.triangles);
+        assert!(triangle_materials(&wrote) == triangle_materials(&read));
         assert_eq!(read.float32_count, read.vertices.len());
     }
 }
@@ -50,8 +55,8 @@ fn through_ply_in_f64() {
     let sphere = Icosphere::new(1000.0, [1e7, 0.1, -1e4], 3).unwrap();
     write_ply(&sphere, &path, false).unwrap();
     let (wrote, read) = (emitted(&sphere), imported(&path));
-    assert_eq!(wrote.vertices, read.vertices);
-    assert_eq!(wrote.triangles, read.triangles);
+    assert!(wrote.vertices == read.vertices);
+    assert!(wrote.triangles == read.triangles);
     assert_eq!(read.float32_count, 0);
 }
 
@@ -67,16 +72,8 @@ fn through_obj() {
         let bits = |mesh: &MeshBuffer| -> Vec<u32> {
             mesh.vertices.iter().flatten().map(|&x| (x as f32).to_bits()).collect()
         };
-        assert_eq!(bits(&wrote), bits(&read));
-        assert_eq!(wrote.triangles, read.triangles);
-        // A reader may number materials in the order of their use.
-        let names = |mesh: &MeshBuffer| -> Vec<String> {
-            let name = |id: &outcrop::units::MaterialId| mesh.materials[usize::from(id.0)].name.clone();
-            mesh.triangle_materials.iter().map(name).collect()
-        };
-        assert_eq!(names(&wrote), names(&read));
-        for material in &read.materials {
-            assert!(wrote.materials.contains(material), "{material:?}");
-        }
+        assert!(bits(&wrote) == bits(&read));
+        assert!(wrote.triangles == read.triangles);
+        assert!(triangle_materials(&wrote) == triangle_materials(&read));
     }
 }
