@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use common::{Argument, Arguments};
+use common::arguments::{self, Argument, Arguments};
 use outcrop::procedural::export::{write_obj, write_ply};
 use outcrop::procedural::{Gears, Shape, Tessellation};
 
@@ -23,7 +23,7 @@ gears: writes n x n x n meshing wheels above a mirror as a model file
 ";
 
 fn main() -> ExitCode {
-    common::run(gears)
+    arguments::run(gears)
 }
 
 fn gears(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {

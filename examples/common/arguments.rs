@@ -1,4 +1,4 @@
-//! A thin layer over `lexopt`: values with messages that say which option is wrong and why.
+//! The command line: a thin layer over `lexopt`: values with messages that say which option is wrong and why.
 
 use std::error::Error;
 use std::ffi::OsString;
@@ -62,16 +62,31 @@ impl Arguments {
         text.parse().map_err(|error| format!("{} {text}: {error}", self.option).into())
     }
 
-    /// The value of the option that came last: numbers with commas between them.
+    /// The value of the option that came last: `COUNT` numbers with commas between them.
     pub fn numbers<const COUNT: usize>(&mut self) -> Result<[f64; COUNT], Box<dyn Error>> {
+        let numbers = self.number_list()?;
+        <[f64; COUNT]>::try_from(numbers)
+            .map_err(|_| format!("{}: expected {COUNT} numbers with commas between", self.option).into())
+    }
+
+    /// The value of the option that came last: any count of finite numbers with commas between them.
+    pub fn number_list(&mut self) -> Result<Vec<f64>, Box<dyn Error>> {
         let text = self.text()?;
-        let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-        numbers
-            .and_then(|numbers| <[f64; COUNT]>::try_from(numbers).ok())
-            .filter(|numbers| numbers.iter().all(|x| x.is_finite()))
-            .ok_or_else(|| {
-                format!("{} {text}: expected {COUNT} numbers with commas between", self.option).into()
-            })
+        let number = |part: &str| part.trim().parse().ok().filter(|x: &f64| x.is_finite());
+        let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
+        numbers.ok_or_else(|| format!("{} {text}: expected numbers with commas between", self.option).into())
+    }
+
+    /// The value of the option that came last: one of the given names.
+    pub fn choice<T: Copy>(&mut self, choices: &[(&str, T)]) -> Result<T, Box<dyn Error>> {
+        let text = self.text()?;
+        match choices.iter().find(|(name, _)| *name == text) {
+            Some((_, value)) => Ok(*value),
+            None => {
+                let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
+                Err(format!("{} {text}: expected one of {}", self.option, names.join(", ")).into())
+            }
+        }
     }
 
     fn raw(&mut self) -> Result<OsString, Box<dyn Error>> {

@@ -1,8 +1,11 @@
-//! What the examples share: arguments and messages, nothing about ray tracing.
+//! What the examples share: arguments, progress, ^C, and what the system says about memory.
 
 // Each example uses its part.
 #![allow(dead_code)]
 
-mod arguments;
-
-pub use arguments::{Argument, Arguments, run};
+pub mod arguments;
+pub mod interrupt;
+pub mod memory_log;
+mod plot;
+pub mod process;
+pub mod progress;
