@@ -3,6 +3,7 @@
 
 mod aabb;
 mod double;
+mod degenerate;
 mod expansion;
 mod float;
 mod frame;
@@ -13,6 +14,7 @@ mod triangle;
 mod triangle_exact;
 
 pub use aabb::Aabb;
+pub use degenerate::is_degenerate;
 pub use float::{
     U32, U64, gamma, gamma_f32, relative_bounds_f32, relative_down_f32, relative_up_f32, round_down_f32,
     round_up_f32,

@@ -65,3 +65,14 @@ pub(super) fn intersect(frame: &RayFrame, vertices: &[[f64; 3]; 3]) -> Option<Tr
     let numerator = dot::<16, 32, 64, 128, 192>(&normal, &to_a).value();
     frame.accept(numerator / determinant, v.value() / determinant, w.value() / determinant)
 }
+
+/// Whether the exact normal is zero.
+#[cold]
+#[inline(never)]
+pub(super) fn is_degenerate(vertices: &[[f64; 3]; 3]) -> bool {
+    if !vertices.iter().flatten().all(|x| x.abs() <= COORDINATE_MAX) {
+        return false;
+    }
+    let [a, b, c] = *vertices;
+    cross(&differences(b, a), &differences(c, a)).iter().all(|component| component.sign() == 0)
+}

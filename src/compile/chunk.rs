@@ -1,0 +1,177 @@
+//! A run of triangles of one bucket on its way through the spill, with its own vertices: reading it back needs
+//! nothing else. Written and read by one process, so it has no version and no checksum.
+//!
+//! ```text
+//! u16 vertices, u16 triangles, u16 id runs, u16 material runs, u64 first id
+//! vertices    f32 x 3 or i64 x 3 each, distinct source vertices in first-use order
+//! triangles   u16 x 3 each
+//! id runs     u32 gap since the end of the last run, u32 length
+//! materials   u16 length, u16 material
+//! ```
+
+use super::point::Point;
+use crate::error::CompileError;
+
+/// Most triangles in a chunk, so that counts and indices fit in 16 bits.
+pub(super) const CHUNK_TRIANGLES_MAX: usize = 1024;
+const HEADER_BYTES: usize = 16;
+/// Slots of the table that finds a vertex again; at most three quarters full.
+const TABLE_SLOTS: usize = 4 * CHUNK_TRIANGLES_MAX;
+
+/// A triangle in the buffer of its bucket: three source vertices, and the distance of its id from the first in the buffer.
+pub(super) type Buffered = [u32; 4];
+
+/// Where a chunk is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ChunkRecord {
+    pub(super) offset: u64,
+    pub(super) bytes: u32,
+    pub(super) bucket: u32,
+    pub(super) triangles: u16,
+    pub(super) vertices: u16,
+}
+
+/// Makes chunks; keeps its tables from one to the next.
+#[derive(Debug)]
+pub(super) struct ChunkWriter<P> {
+    /// Vertex, local index and the number of the chunk: `stamp << 48 | local << 32 | vertex`. Old entries need no clearing.
+    table: Vec<u64>,
+    stamp: u64,
+    vertices: Vec<P>,
+    indices: Vec<[u16; 3]>,
+    id_runs: Vec<[u32; 2]>,
+    bytes: Vec<u8>,
+}
+
+impl<P: Point> ChunkWriter<P> {
+    pub(super) fn new() -> ChunkWriter<P> {
+        ChunkWriter {
+            table: vec![0; TABLE_SLOTS],
+            stamp: 0,
+            vertices: Vec::with_capacity(3 * CHUNK_TRIANGLES_MAX),
+            indices: Vec::with_capacity(CHUNK_TRIANGLES_MAX),
+            id_runs: Vec::new(),
+            bytes: Vec::new(),
+        }
+    }
+
+    /// How many vertices the last chunk has.
+    pub(super) fn vertex_count(&self) -> usize {
+        self.vertices.len()
+    }
+
+    /// The bytes of a chunk of 1 to [`CHUNK_TRIANGLES_MAX`] triangles with ascending ids. `materials` are runs of (length, material).
+    pub(super) fn write(
+        &mut self,
+        triangles: &[Buffered],
+        first_id: u64,
+        materials: &[[u16; 2]],
+        mut lookup: impl FnMut(u32) -> Result<P, CompileError>,
+    ) -> Result<&[u8], CompileError> {
+        self.begin();
+        let mut next_id = 0;
+        for &[a, b, c, id] in triangles {
+            let mut local = [0; 3];
+            for (corner, vertex) in [a, b, c].into_iter().enumerate() {
+                local[corner] = match self.find(vertex) {
+                    Ok(local) => local,
+                    Err(slot) => {
+                        let local = self.vertices.len() as u16;
+                        self.vertices.push(lookup(vertex)?);
+                        self.table[slot] = self.stamp << 48 | u64::from(local) << 32 | u64::from(vertex);
+                        local
+                    }
+                };
+            }
+            self.indices.push(local);
+            match self.id_runs.last_mut() {
+                Some(run) if id == next_id => run[1] += 1,
+                _ => self.id_runs.push([id - next_id, 1]),
+            }
+            next_id = id + 1;
+        }
+        let counts = [self.vertices.len(), self.indices.len(), self.id_runs.len(), materials.len()];
+        self.bytes.clear();
+        for count in counts {
+            self.bytes.extend_from_slice(&(count as u16).to_ne_bytes());
+        }
+        self.bytes.extend_from_slice(&first_id.to_ne_bytes());
+        self.bytes.extend_from_slice(bytemuck::cast_slice(&self.vertices));
+        self.bytes.extend_from_slice(bytemuck::cast_slice(&self.indices));
+        self.bytes.extend_from_slice(bytemuck::cast_slice(&self.id_runs));
+        self.bytes.extend_from_slice(bytemuck::cast_slice(materials));
+        Ok(&self.bytes)
+    }
+
+    fn begin(&mut self) {
+        self.stamp += 1;
+        if self.stamp == 1 << 16 {
+            self.table.fill(0);
+            self.stamp = 1;
+        }
+        self.vertices.clear();
+        self.indices.clear();
+        self.id_runs.clear();
+    }
+
+    /// The local index of a vertex, or the slot to put it in.
+    #[inline]
+    fn find(&self, vertex: u32) -> Result<u16, usize> {
+        let mut slot = (vertex.wrapping_mul(0x9e37_79b1) >> (32 - TABLE_SLOTS.trailing_zeros())) as usize;
+        loop {
+            let entry = self.table[slot % TABLE_SLOTS];
+            if entry >> 48 != self.stamp {
+                return Err(slot % TABLE_SLOTS);
+            }
+            if entry as u32 == vertex {
+                return Ok((entry >> 32) as u16);
+            }
+            slot += 1;
+        }
+    }
+}
+
+/// A chunk taken apart; the vectors are reused.
+#[derive(Debug, Default)]
+pub(super) struct Chunk<P> {
+    pub(super) vertices: Vec<P>,
+    pub(super) indices: Vec<[u16; 3]>,
+    pub(super) id_runs: Vec<[u32; 2]>,
+    pub(super) materials: Vec<[u16; 2]>,
+    pub(super) first_id: u64,
+}
+
+impl<P: Point> Chunk<P> {
+    pub(super) fn new() -> Chunk<P> {
+        Chunk {
+            vertices: Vec::new(),
+            indices: Vec::new(),
+            id_runs: Vec::new(),
+            materials: Vec::new(),
+            first_id: 0,
+        }
+    }
+
+    /// Takes apart what [`ChunkWriter::write`] made; false if the bytes are something else.
+    pub(super) fn read(&mut self, bytes: &[u8]) -> bool {
+        let Some((header, mut rest)) = bytes.split_at_checked(HEADER_BYTES) else { return false };
+        let count =
+            |index: usize| usize::from(u16::from_ne_bytes([header[2 * index], header[2 * index + 1]]));
+        self.first_id = bytemuck::pod_read_unaligned(&header[8..]);
+        take(&mut rest, count(0), &mut self.vertices)
+            && take(&mut rest, count(1), &mut self.indices)
+            && take(&mut rest, count(2), &mut self.id_runs)
+            && take(&mut rest, count(3), &mut self.materials)
+            && rest.is_empty()
+    }
+}
+
+/// Moves `count` items from the front of `bytes` to `into`.
+fn take<T: bytemuck::Pod>(bytes: &mut &[u8], count: usize, into: &mut Vec<T>) -> bool {
+    let Some((items, rest)) = bytes.split_at_checked(count * size_of::<T>()) else { return false };
+    *bytes = rest;
+    into.resize(count, T::zeroed());
+    // A copy of bytes into typed memory: the bytes need not be aligned.
+    bytemuck::cast_slice_mut(into).copy_from_slice(items);
+    true
+}

@@ -1,0 +1,518 @@
+//! The compiler: takes a mesh as a stream and leaves a compiled file.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::blocks::{BlockMaker, BlockSettings};
+use super::bucket::Bucket;
+use super::clock::{Meter, Moment};
+use super::faces::Faces;
+use super::grid::{GRID_BYTES, Grid};
+use super::options::{
+    CompileOptions, CompileReport, Control, Phase, PhaseSeconds, PrecisionChoice, Progress, Threads,
+};
+use super::output::{Output, directory_of, name_of};
+use super::parallel::{Worker, encode_buckets};
+use super::point::Point;
+use super::precision::{Decision, RoundingWatch, coarsest_lattice};
+use super::refine::{refine, triangle_count};
+use super::scatter::{Fault, Scatter, Scattered};
+use super::spill::SpillPlace;
+use super::temporary::DiskQuota;
+use super::vertices::{Narrow, OnLattice, Rounded, VertexStore};
+use crate::block::BlockLimits;
+use crate::budget::{MemoryBudget, Reservation};
+use crate::error::CompileError;
+use crate::geom::{Lattice, Precision};
+use crate::import::{MeshSink, VertexBatch};
+use crate::model::{MaterialRecord, SourceRecord};
+use crate::units::{Bytes, MaterialId};
+
+/// Vertices per bucket: two triangles per vertex make 64 k triangles.
+const BUCKET_VERTICES: u64 = 32 << 10;
+/// Triangles per bucket where their number is known before the buckets are made.
+const BUCKET_TRIANGLES: u64 = 64 << 10;
+/// Small batches are gathered up to this many triangles.
+const QUEUE_TRIANGLES: usize = 4096;
+/// The callback is asked at least once in so many triangles.
+const PROGRESS_TRIANGLES: u64 = 1 << 18;
+/// Spill buffers: vertices (two), faces, chunks.
+const SPILL_BUFFERS: u64 = 4 << 20;
+
+/// Compiles a mesh that comes through [`MeshSink`], in memory bounded by the budget (I1).
+///
+/// Dropping it, at any time and for any reason, removes what it wrote; only [`Compiler::finish`] leaves a file.
+pub struct Compiler<'p> {
+    output: PathBuf,
+    options: CompileOptions,
+    budget: MemoryBudget,
+    place: SpillPlace,
+    pool: Option<Arc<rayon::ThreadPool>>,
+    source: SourceRecord,
+    materials: Vec<MaterialRecord>,
+    store: VertexStore,
+    grid: Option<Grid>,
+    stage: Stage,
+    watch: RoundingWatch,
+    queue: Vec<[u32; 3]>,
+    queue_material: u16,
+    triangles: u64,
+    asked_at: u64,
+    fraction: Option<f64>,
+    progress: &'p mut dyn FnMut(Progress) -> Control,
+    start: Moment,
+    /// When the sink was last left.
+    left: Moment,
+    spill_bytes: u64,
+    parse: Meter,
+    scatter: Meter,
+    grid_memory: Option<Reservation>,
+}
+
+/// Where triangles go.
+enum Stage {
+    /// They wait: the grid or the precision is not known yet.
+    Waiting(Faces),
+    Narrow(Scatter<[f32; 3]>),
+    Lattice(Scatter<[i64; 3]>, Lattice),
+    /// All were scattered.
+    Done,
+}
+
+impl<'p> Compiler<'p> {
+    /// A compiler that will write `output`. Nothing is written before it has to be.
+    ///
+    /// # Errors
+    /// The budget is too small ([`CompileError::Budget`]) or an option makes no sense ([`CompileError::Limit`]).
+    pub fn new(
+        output: &Path,
+        options: CompileOptions,
+        budget: &MemoryBudget,
+        progress: &'p mut dyn FnMut(Progress) -> Control,
+    ) -> Result<Compiler<'p>, CompileError> {
+        let start = Moment::now();
+        let limits = BlockLimits { block_bytes_max: options.block_bytes };
+        limits.validate().map_err(|reason| CompileError::Limit { reason: reason.to_string() })?;
+        if !options.codec.is_available() {
+            let reason = format!("this build lacks the codec {}", options.codec.name());
+            return Err(CompileError::Limit { reason });
+        }
+        if let PrecisionChoice::Lattice { exponent } = options.precision
+            && !(Lattice::EXPONENT_MIN..=Lattice::EXPONENT_MAX).contains(&exponent)
+        {
+            let reason = format!(
+                "a lattice exponent must be within {} to {}, not {exponent}",
+                Lattice::EXPONENT_MIN,
+                Lattice::EXPONENT_MAX
+            );
+            return Err(CompileError::Limit { reason });
+        }
+        let pool = match &options.threads {
+            Threads::One | Threads::Count(0 | 1) => None,
+            Threads::Count(count) => {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(*count).build();
+                let pool = pool.map_err(|error| CompileError::Limit { reason: error.to_string() })?;
+                Some(Arc::new(pool))
+            }
+            // On one of the pool's own threads, waiting for the others could wait for ever.
+            Threads::Pool(pool) => pool.current_thread_index().is_none().then(|| Arc::clone(pool)),
+        };
+        let place = SpillPlace {
+            dir: options.spill_dir.clone().unwrap_or_else(|| directory_of(output)),
+            name: name_of(output),
+            quota: DiskQuota::new(options.disk_limit.map(|limit| limit.0)),
+            budget: budget.clone(),
+        };
+        let grid_memory = budget.reserve(Bytes(GRID_BYTES), "the grid of vertex counts")?;
+        let headroom = headroom(budget);
+        let faces = Faces::new(place.clone(), headroom + budget.limit().0 / 4)?;
+        Ok(Compiler {
+            output: output.to_path_buf(),
+            store: VertexStore::new(place.clone(), headroom),
+            stage: Stage::Waiting(faces),
+            budget: budget.clone(),
+            place,
+            pool,
+            source: SourceRecord::default(),
+            materials: Vec::new(),
+            grid: Some(Grid::new()),
+            watch: RoundingWatch::default(),
+            queue: Vec::new(),
+            queue_material: 0,
+            triangles: 0,
+            asked_at: 0,
+            fraction: None,
+            progress,
+            start,
+            left: Moment::now(),
+            spill_bytes: 0,
+            parse: Meter::default(),
+            scatter: Meter::default(),
+            grid_memory: Some(grid_memory),
+            options,
+        })
+    }
+
+    /// Records what the mesh is read from, so that a change can be noticed later.
+    pub fn set_source(&mut self, source: SourceRecord) {
+        self.source = source;
+    }
+
+    fn ask(&mut self, phase: Phase, fraction: Option<f64>) -> Result<(), CompileError> {
+        self.asked_at = self.triangles;
+        match (self.progress)(Progress { phase, fraction, triangles: self.triangles }) {
+            Control::Continue => Ok(()),
+            Control::Cancel => Err(CompileError::Cancelled),
+        }
+    }
+
+    /// Runs sink work between two readings of the clock: what lies between such calls is the reader's time.
+    fn timed<T>(
+        &mut self,
+        work: impl FnOnce(&mut Self) -> Result<T, CompileError>,
+    ) -> Result<T, CompileError> {
+        let entered = self.parse.add_since(self.left);
+        let result = work(self);
+        self.left = self.scatter.add_since(entered);
+        result
+    }
+
+    /// Sends the queue on.
+    fn drain_queue(&mut self) -> Result<(), CompileError> {
+        if self.queue.is_empty() {
+            return Ok(());
+        }
+        let queue = std::mem::take(&mut self.queue);
+        let first_id = self.triangles - queue.len() as u64;
+        let result = self.timed(|compiler| compiler.place(&queue, compiler.queue_material, first_id));
+        self.queue = queue;
+        self.queue.clear();
+        result
+    }
+
+    /// Scatters triangles, or keeps them.
+    fn place(&mut self, triangles: &[[u32; 3]], material: u16, first_id: u64) -> Result<(), CompileError> {
+        match &mut self.stage {
+            Stage::Waiting(faces) => {
+                if self.options.precision == PrecisionChoice::Auto {
+                    self.watch.watch(triangles, &mut self.store)?;
+                }
+                faces.push(triangles, material)
+            }
+            Stage::Narrow(scatter) => scatter_narrow(scatter, &mut self.store, triangles, material, first_id),
+            Stage::Lattice(scatter, lattice) => {
+                let mut lookup = OnLattice { store: &mut self.store, lattice: *lattice };
+                scatter.add(triangles, material, first_id, &mut lookup, lattice_fault)
+            }
+            Stage::Done => Ok(()),
+        }
+    }
+
+    /// The precision, if it does not depend on triangles that are yet to come.
+    fn early_decision(&self) -> Option<Decision> {
+        let precision = match self.options.precision {
+            PrecisionChoice::Float32 => Precision::Float32,
+            PrecisionChoice::Lattice { exponent } => Precision::Lattice(Lattice { exponent }),
+            PrecisionChoice::Auto if matches!(self.store, VertexStore::Float32(_)) => Precision::Float32,
+            PrecisionChoice::Auto => return None,
+        };
+        Some(Decision { precision, tolerance_met: true })
+    }
+
+    /// Makes the buckets and begins to scatter: first the triangles that waited.
+    fn begin_scatter(&mut self, precision: Precision) -> Result<(), CompileError> {
+        // Only called while the grid is there and triangles wait.
+        let (Some(grid), Stage::Waiting(faces)) = (self.grid.take(), &mut self.stage) else { return Ok(()) };
+        let known = faces.count();
+        let vertices = self.store.len() as u64;
+        let vertices_max = match known {
+            0 => BUCKET_VERTICES,
+            known => (BUCKET_TRIANGLES as f64 * vertices as f64 / known as f64).ceil() as u64,
+        };
+        let map = grid.into_buckets(vertices_max);
+        let share = self.budget.limit().0 / 12;
+        let spill_headroom = self.budget.limit().0 / 4;
+        let place = self.place.clone();
+        let skip = self.options.skip_not_finite;
+        let stage = match precision {
+            Precision::Float32 => Stage::Narrow(Scatter::new(map, 1.0, place, share, spill_headroom, skip)?),
+            Precision::Lattice(lattice) => {
+                let scatter = Scatter::new(map, lattice.step(), place, share, spill_headroom, skip)?;
+                Stage::Lattice(scatter, lattice)
+            }
+        };
+        let Stage::Waiting(mut faces) = std::mem::replace(&mut self.stage, stage) else { return Ok(()) };
+        let total = known.max(1) as f64;
+        faces.replay(|triangles, material, first_id| {
+            let before = first_id / PROGRESS_TRIANGLES;
+            if (first_id + triangles.len() as u64) / PROGRESS_TRIANGLES != before {
+                self.ask(Phase::Scatter, Some(first_id as f64 / total))?;
+            }
+            self.place(triangles, material, first_id)
+        })?;
+        self.spill_bytes += faces.spill_bytes();
+        Ok(())
+    }
+
+    /// Cuts, encodes and writes everything, seals the file and gives it its name. A file of that name is replaced in one step.
+    ///
+    /// # Errors
+    /// [`CompileError`]; no file is left then, and one that had the name before is as it was.
+    pub fn finish(mut self) -> Result<CompileReport, CompileError> {
+        self.drain_queue()?;
+        self.left = self.parse.add_since(self.left);
+        if self.triangles == 0 {
+            return Err(CompileError::Empty);
+        }
+        let decision = match (self.early_decision(), &mut self.stage) {
+            (Some(decision), _) => decision,
+            (None, Stage::Waiting(faces)) if self.watch.exceeded() => {
+                let magnitude = self.grid.as_ref().map_or(0.0, Grid::magnitude_max);
+                coarsest_lattice(faces, &mut self.store, magnitude)?
+            }
+            (None, _) => Decision { precision: Precision::Float32, tolerance_met: true },
+        };
+        self.begin_scatter(decision.precision)?;
+        match std::mem::replace(&mut self.stage, Stage::Done) {
+            Stage::Narrow(scatter) => {
+                let scattered = match &mut self.store {
+                    VertexStore::Float32(pages) => scatter.finish(&mut Narrow(pages))?,
+                    VertexStore::Float64 { rounded, .. } => scatter.finish(&mut Rounded(rounded))?,
+                };
+                self.finish_blocks(scattered, decision)
+            }
+            Stage::Lattice(scatter, lattice) => {
+                let mut lookup = OnLattice { store: &mut self.store, lattice };
+                let scattered = scatter.finish(&mut lookup)?;
+                self.finish_blocks(scattered, decision)
+            }
+            Stage::Waiting(_) | Stage::Done => Err(CompileError::Empty),
+        }
+    }
+
+    fn finish_blocks<P: Point>(
+        mut self,
+        mut scattered: Scattered<P>,
+        decision: Decision,
+    ) -> Result<CompileReport, CompileError> {
+        let mut spill_bytes = self.spill_bytes + self.store.spill_bytes();
+        let error_bound = match decision.precision {
+            Precision::Float32 => self.store.move_max(),
+            Precision::Lattice(lattice) => lattice.error_bound(),
+        };
+        // The vertices are all in chunks now: their memory goes to the cut.
+        self.store = VertexStore::new(self.place.clone(), 0);
+        self.grid_memory = None;
+
+        let limits = BlockLimits { block_bytes_max: self.options.block_bytes };
+        let settings = BlockSettings { precision: decision.precision, limits, codec: self.options.codec };
+        let mut first = Worker::new(settings);
+        refine(&mut scattered, &mut first.bucket, || self.ask(Phase::Scatter, None))?;
+        self.left = self.scatter.add_since(self.left);
+
+        // As many workers as there are threads, fewer if the budget does not hold so many.
+        let (mut triangles, mut vertices) = (0, 0);
+        for range in &scattered.buckets {
+            let chunks = &scattered.chunks[range.clone()];
+            triangles = triangles.max(triangle_count(chunks));
+            vertices = vertices.max(chunks.iter().map(|chunk| u64::from(chunk.vertices)).sum());
+        }
+        let worker_bytes = Bucket::<P>::bytes_for(triangles, vertices)
+            + BlockMaker::<P>::bytes_for(limits, triangles, vertices);
+        let mut memory = vec![self.budget.reserve(Bytes(worker_bytes), "cutting a bucket")?];
+        let mut workers = vec![first];
+        let threads = self.pool.as_ref().map_or(1, |pool| pool.current_num_threads());
+        while workers.len() < threads {
+            match self.budget.reserve(Bytes(worker_bytes), "cutting a bucket") {
+                Ok(reservation) => memory.push(reservation),
+                Err(_) => break,
+            }
+            workers.push(Worker::new(settings));
+        }
+
+        let mut output = Output::create(&self.output, self.place.quota.clone(), decision.precision, limits)?;
+        let mut write = Meter::default();
+        let (mut degenerate, mut duplicates) = (0, 0);
+        let total = scattered.buckets.len().max(1) as f64;
+        let mut done = 0;
+        let pool = self.pool.clone();
+        let cut_time = encode_buckets(&scattered, workers, pool.as_deref(), |bucket| {
+            let start = Moment::now();
+            degenerate += bucket.degenerate;
+            duplicates += bucket.duplicates;
+            output.write_bucket(bucket)?;
+            write.add_since(start);
+            done += 1;
+            self.ask(Phase::Cut, Some(f64::from(done) / total))
+        })?;
+        drop(memory);
+        let start = Moment::now();
+        let (triangles, blocks, vertices) = (output.triangles(), output.block_count(), output.vertices());
+        if triangles == 0 {
+            return Err(CompileError::Empty);
+        }
+        spill_bytes += scattered.spill.file_bytes();
+        let skipped = scattered.skipped;
+        drop(scattered);
+        self.ask(Phase::Seal, None)?;
+        let file_bytes = output.seal(&self.materials, self.source)?;
+        write.add_since(start);
+        let mut total = Meter::default();
+        total.add_since(self.start);
+        let mut seconds = PhaseSeconds {
+            parse: self.parse.seconds(),
+            scatter: self.scatter.seconds(),
+            cut: cut_time.cut.seconds(),
+            encode: cut_time.encode.seconds(),
+            write: write.seconds(),
+            total: total.seconds(),
+        };
+        if pool.is_some() {
+            // The workers' time is not in the calling thread's.
+            seconds.total.cpu += seconds.cut.cpu + seconds.encode.cpu;
+        }
+        Ok(CompileReport {
+            triangles,
+            blocks: blocks as u32,
+            vertices,
+            file_bytes,
+            bytes_per_triangle: file_bytes as f64 / triangles as f64,
+            degenerate,
+            duplicates,
+            skipped,
+            precision: decision.precision,
+            error_bound,
+            tolerance_met: decision.tolerance_met,
+            codec: self.options.codec,
+            seconds,
+            spill_bytes,
+            budget_peak: self.budget.peak(),
+        })
+    }
+}
+
+impl MeshSink for Compiler<'_> {
+    fn material(&mut self, material: MaterialRecord) -> Result<MaterialId, CompileError> {
+        let id = u16::try_from(self.materials.len())
+            .map_err(|_| CompileError::Limit { reason: "the model has more than 65,536 materials".into() })?;
+        self.materials.push(material);
+        Ok(MaterialId(id))
+    }
+
+    fn vertices(&mut self, batch: VertexBatch<'_>) -> Result<(), CompileError> {
+        let headroom = headroom(&self.budget);
+        self.timed(|compiler| {
+            let Some(grid) = &mut compiler.grid else {
+                return Err(CompileError::Limit { reason: "a vertex came after the last one".into() });
+            };
+            let count = match batch {
+                VertexBatch::Float32(items) => {
+                    grid.count(items.iter().map(|vertex| vertex.map(f64::from)));
+                    items.len()
+                }
+                VertexBatch::Float64(items) => {
+                    grid.count(items.iter().copied());
+                    items.len()
+                }
+            };
+            if compiler.store.len() as u64 + count as u64 > u64::from(u32::MAX) {
+                let reason = "the model has more than 2^32 - 1 vertices; split it".into();
+                return Err(CompileError::Limit { reason });
+            }
+            compiler.store.extend(batch, &compiler.place, headroom)
+        })
+    }
+
+    fn vertices_complete(&mut self) -> Result<(), CompileError> {
+        self.drain_queue()?;
+        self.timed(|compiler| match compiler.early_decision() {
+            Some(decision) => compiler.begin_scatter(decision.precision),
+            None => Ok(()),
+        })
+    }
+
+    fn position(&mut self, vertex: u64) -> Result<[f64; 3], CompileError> {
+        match u32::try_from(vertex) {
+            Ok(vertex) if (vertex as usize) < self.store.len() => self.store.position(vertex),
+            _ => Err(unknown_vertex(vertex)),
+        }
+    }
+
+    fn triangles(&mut self, triangles: &[[u32; 3]], material: MaterialId) -> Result<(), CompileError> {
+        let count = self.store.len();
+        let highest = triangles.iter().fold(0, |highest, [a, b, c]| highest.max(*a).max(*b).max(*c));
+        if !triangles.is_empty() && highest as usize >= count {
+            return Err(unknown_vertex(u64::from(highest)));
+        }
+        if material.0 != self.queue_material {
+            self.drain_queue()?;
+            self.queue_material = material.0;
+        }
+        if triangles.len() < QUEUE_TRIANGLES {
+            if self.queue.len() + triangles.len() > QUEUE_TRIANGLES {
+                self.drain_queue()?;
+            }
+            self.queue.extend_from_slice(triangles);
+            self.triangles += triangles.len() as u64;
+        } else {
+            self.drain_queue()?;
+            let first_id = self.triangles;
+            self.triangles += triangles.len() as u64;
+            self.timed(|compiler| compiler.place(triangles, material.0, first_id))?;
+        }
+        if self.triangles - self.asked_at >= PROGRESS_TRIANGLES {
+            self.ask(Phase::Read, self.fraction)?;
+        }
+        Ok(())
+    }
+
+    fn progress(&mut self, consumed_bytes: u64, total_bytes: Option<u64>) -> Result<(), CompileError> {
+        let part = |total: u64| if total > 0 { (consumed_bytes as f64 / total as f64).min(1.0) } else { 1.0 };
+        self.fraction = total_bytes.map(part);
+        self.ask(Phase::Read, self.fraction)
+    }
+}
+
+/// What pages must leave in the budget for the rest of the scatter.
+fn headroom(budget: &MemoryBudget) -> u64 {
+    budget.limit().0 / 10 + SPILL_BUFFERS
+}
+
+fn unknown_vertex(vertex: u64) -> CompileError {
+    CompileError::Limit { reason: format!("a face names vertex {vertex}, which has not come yet") }
+}
+
+fn scatter_narrow(
+    scatter: &mut Scatter<[f32; 3]>,
+    store: &mut VertexStore,
+    triangles: &[[u32; 3]],
+    material: u16,
+    first_id: u64,
+) -> Result<(), CompileError> {
+    match store {
+        VertexStore::Float32(pages) => {
+            let mut lookup = Narrow(pages);
+            scatter.add(triangles, material, first_id, &mut lookup, |_, _| Ok(Fault::NotFinite))
+        }
+        VertexStore::Float64 { rounded, exact, .. } => {
+            let mut lookup = Rounded(rounded);
+            scatter.add(triangles, material, first_id, &mut lookup, |_, triangle| {
+                for vertex in triangle {
+                    if exact.get(vertex)?.iter().any(|x| !x.is_finite()) {
+                        return Ok(Fault::NotFinite);
+                    }
+                }
+                Ok(Fault::OutOfRange)
+            })
+        }
+    }
+}
+
+fn lattice_fault(lookup: &mut OnLattice<'_>, triangle: [u32; 3]) -> Result<Fault, CompileError> {
+    for vertex in triangle {
+        if lookup.store.position(vertex)?.iter().any(|x| !x.is_finite()) {
+            return Ok(Fault::NotFinite);
+        }
+    }
+    Ok(Fault::OutOfRange)
+}

@@ -1,0 +1,172 @@
+//! What the caller chooses, and what a compile tells back.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::block::Codec;
+use crate::geom::Precision;
+use crate::units::Bytes;
+
+/// How a compile is to be done. The image made from the result does not depend on any of it but `precision` and
+/// `skip_not_finite` (I2).
+#[derive(Clone, Debug)]
+pub struct CompileOptions {
+    /// Most bytes of a block in its decoded form, 4 KiB to 256 KiB; 64 KiB is the paper's best.
+    pub block_bytes: u32,
+    /// How blocks are packed.
+    pub codec: Codec,
+    /// How positions are held.
+    pub precision: PrecisionChoice,
+    /// Which threads may be used.
+    pub threads: Threads,
+    /// Leave triangles with a NaN or infinite coordinate out (and count them) instead of failing.
+    pub skip_not_finite: bool,
+    /// Where temporary data goes that does not fit the budget; `None` for the output's own directory.
+    pub spill_dir: Option<PathBuf>,
+    /// Most bytes of disk that spill and output may take together; `None` for no limit. Beyond it the compile
+    /// fails as on a full disk.
+    pub disk_limit: Option<Bytes>,
+}
+
+impl Default for CompileOptions {
+    fn default() -> CompileOptions {
+        CompileOptions {
+            block_bytes: 64 << 10,
+            codec: Codec::Lz4,
+            precision: PrecisionChoice::Auto,
+            threads: Threads::One,
+            skip_not_finite: false,
+            spill_dir: None,
+            disk_limit: None,
+        }
+    }
+}
+
+/// How the precision of a compiled file is chosen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PrecisionChoice {
+    /// Binary f32 input is kept bit for bit. Text and f64 input becomes `Float32` if rounding moves no vertex by more
+    /// than [`AUTO_TOLERANCE`] of the shortest edge of its triangles, else the coarsest lattice that meets that
+    /// bound; if none does within the range of the lattice, the finest that covers the model.
+    #[default]
+    Auto,
+    /// Coordinates rounded to the nearest f32.
+    Float32,
+    /// The lattice of spacing `2^exponent`.
+    Lattice {
+        /// Base-two logarithm of the spacing.
+        exponent: i32,
+    },
+}
+
+/// How far [`PrecisionChoice::Auto`] may move a vertex, in shortest edges of its triangles. Edges of length zero do
+/// not count: nothing could meet a bound of zero.
+pub const AUTO_TOLERANCE: f64 = 1e-4;
+
+/// Which threads a compile may use. The compiled file is the same, byte for byte, for any choice.
+#[derive(Clone, Debug, Default)]
+pub enum Threads {
+    /// The calling thread only.
+    #[default]
+    One,
+    /// The calling thread and a pool of this many threads, made for the compile (0 and 1 mean [`Threads::One`]).
+    Count(usize),
+    /// The caller's pool. The compile must not be started from one of its threads.
+    Pool(Arc<rayon::ThreadPool>),
+}
+
+/// What a compile is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// The source is read; for sources that give all vertices first, triangles are scattered at once.
+    Read,
+    /// Triangles that had to wait for the last vertex are scattered to buckets.
+    Scatter,
+    /// Buckets are cut into blocks, encoded and written.
+    Cut,
+    /// Directory and header are written and the file is published.
+    Seal,
+}
+
+/// How far a compile is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// What is being done.
+    pub phase: Phase,
+    /// Part of the phase that is done, 0 to 1; `None` if unknown.
+    pub fraction: Option<f64>,
+    /// Triangles taken from the source so far.
+    pub triangles: u64,
+}
+
+/// What a progress callback answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Control {
+    /// Go on.
+    Continue,
+    /// Stop with [`CompileError::Cancelled`](crate::error::CompileError::Cancelled), leaving nothing behind.
+    Cancel,
+}
+
+/// Seconds spent in a part of the work.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seconds {
+    /// By the clock on the wall, added up over the threads that did the part: where several did, the parts add up to more
+    /// than the total.
+    pub wall: f64,
+    /// Processor time, added up over threads. The same as `wall` on systems that do not tell.
+    pub cpu: f64,
+}
+
+/// Where the time went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PhaseSeconds {
+    /// The reader's own work: everything between calls of the sink.
+    pub parse: Seconds,
+    /// Taking vertices, placing triangles in buckets, spilling.
+    pub scatter: Seconds,
+    /// Reading buckets back and cutting them into blocks.
+    pub cut: Seconds,
+    /// Deduplicating the vertices of blocks and encoding them.
+    pub encode: Seconds,
+    /// Writing blocks, directory and header, and publishing the file.
+    pub write: Seconds,
+    /// All of it.
+    pub total: Seconds,
+}
+
+/// What a compile did.
+#[derive(Clone, Debug)]
+pub struct CompileReport {
+    /// Triangles in the compiled file.
+    pub triangles: u64,
+    /// Blocks in it.
+    pub blocks: u32,
+    /// Vertices stored, counted once per block that uses them.
+    pub vertices: u64,
+    /// Its size.
+    pub file_bytes: u64,
+    /// Its size per triangle: ids, materials, directory and header included.
+    pub bytes_per_triangle: f64,
+    /// Triangles of exactly zero area, as stored. They are kept (and never hit).
+    pub degenerate: u64,
+    /// Triangles with the same three positions as another of the same block, not counting the first. Equal triangles share their
+    /// centroid and so come into one block unless more of them coincide than a block holds.
+    pub duplicates: u64,
+    /// Triangles left out because a coordinate was not finite.
+    pub skipped: u64,
+    /// How positions are held.
+    pub precision: Precision,
+    /// Largest distance between a vertex of the source and the stored one, per axis; 0 if nothing was rounded.
+    pub error_bound: f64,
+    /// Whether the precision keeps the promise of [`PrecisionChoice::Auto`]; true for any other choice.
+    pub tolerance_met: bool,
+    /// How blocks are packed.
+    pub codec: Codec,
+    /// Where the time went.
+    pub seconds: PhaseSeconds,
+    /// Bytes written to temporary files.
+    pub spill_bytes: u64,
+    /// Largest sum of reservations in the budget while compiling, other users of the budget included.
+    pub budget_peak: Bytes,
+}

@@ -1,0 +1,125 @@
+//! The compiled file while it is written: under a temporary name, its header last.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use super::blocks::EncodedBucket;
+use super::temporary::{DiskQuota, TemporaryFile, write_at};
+use crate::block::BlockLimits;
+use crate::error::CompileError;
+use crate::geom::Precision;
+use crate::model::{MaterialRecord, ModelWriter, NewBlock, SourceRecord};
+
+/// Bytes that are gathered before they are written.
+const BUFFER_BYTES: usize = 1 << 20;
+
+/// Writes blocks one after the other, and seals the file.
+#[derive(Debug)]
+pub(super) struct Output {
+    path: PathBuf,
+    file: TemporaryFile,
+    quota: DiskQuota,
+    writer: ModelWriter,
+    buffer: Vec<u8>,
+    /// Where in the file the buffer goes.
+    buffer_offset: u64,
+    vertices: u64,
+}
+
+impl Output {
+    pub(super) fn create(
+        path: &Path,
+        quota: DiskQuota,
+        precision: Precision,
+        limits: BlockLimits,
+    ) -> Result<Output, CompileError> {
+        let writer = ModelWriter::new(precision, limits)?;
+        let file = TemporaryFile::create(&directory_of(path), &name_of(path), ".partial")?;
+        Ok(Output {
+            path: path.to_path_buf(),
+            file,
+            quota,
+            buffer: Vec::with_capacity(BUFFER_BYTES),
+            buffer_offset: writer.next_offset(),
+            writer,
+            vertices: 0,
+        })
+    }
+
+    /// Vertices of all blocks so far.
+    pub(super) fn vertices(&self) -> u64 {
+        self.vertices
+    }
+
+    /// Triangles of all blocks so far.
+    pub(super) fn triangles(&self) -> u64 {
+        self.writer.triangle_count()
+    }
+
+    /// How many blocks there are so far.
+    pub(super) fn block_count(&self) -> usize {
+        self.writer.block_count()
+    }
+
+    pub(super) fn write_bucket(&mut self, bucket: &EncodedBucket) -> Result<(), CompileError> {
+        let mut start = 0;
+        for block in &bucket.blocks {
+            let stored = &bucket.bytes[start..block.end];
+            start = block.end;
+            self.writer.push(&NewBlock {
+                stored,
+                triangle_count: block.triangle_count,
+                vertex_count: block.vertex_count,
+                bounds: block.bounds,
+                sub_boxes: block.sub_boxes,
+                material_range: block.material_range,
+            })?;
+            self.vertices += u64::from(block.vertex_count);
+            if self.buffer.len() + stored.len() > BUFFER_BYTES {
+                self.flush()?;
+            }
+            self.buffer.extend_from_slice(stored);
+        }
+        Ok(())
+    }
+
+    fn flush(&mut self) -> Result<(), CompileError> {
+        let Output { path, file, quota, buffer, buffer_offset, .. } = self;
+        let write = |error| CompileError::Write { path: path.clone(), error };
+        quota.take(buffer.len() as u64).map_err(write)?;
+        write_at(file.file(), *buffer_offset, buffer).map_err(write)?;
+        *buffer_offset += buffer.len() as u64;
+        buffer.clear();
+        Ok(())
+    }
+
+    /// Writes directory, materials and, last, the header; makes it durable and gives it its name. Until then no file of that
+    /// name changes, and what is left of an interrupted run has no header. Returns the size.
+    pub(super) fn seal(
+        mut self,
+        materials: &[MaterialRecord],
+        source: SourceRecord,
+    ) -> Result<u64, CompileError> {
+        self.flush()?;
+        let sealed = self.writer.seal(materials, source)?;
+        let write = |error| CompileError::Write { path: self.path.clone(), error };
+        self.quota.take((sealed.tail.len() + sealed.header.len()) as u64).map_err(write)?;
+        write_at(self.file.file(), sealed.tail_offset, &sealed.tail).map_err(write)?;
+        write_at(self.file.file(), 0, &sealed.header).map_err(write)?;
+        self.file.publish(&self.path)?;
+        Ok(sealed.file_bytes)
+    }
+}
+
+/// The directory that holds `path`.
+pub(super) fn directory_of(path: &Path) -> PathBuf {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
+        _ => PathBuf::from("."),
+    }
+}
+
+/// The last part of `path`.
+pub(super) fn name_of(path: &Path) -> OsString {
+    path.file_name().map_or_else(|| OsString::from("model"), OsString::from)
+}

@@ -1,0 +1,152 @@
+//! The two forms of a vertex in a compiled file, behind one trait, so that scatter and cut are written once.
+
+use bytemuck::Pod;
+
+use crate::block::{self, VertexInput};
+use crate::geom::Precision;
+
+/// A lattice coordinate that stands for "not finite or out of range".
+pub(super) const OUTSIDE: i64 = i64::MIN;
+
+/// A vertex: `[f32; 3]`, or `[i64; 3]` in steps of the lattice.
+pub(super) trait Point: Pod + PartialEq + Send + Sync {
+    /// In which the cut computes: exact for every valid point.
+    type Real: Real;
+
+    /// The coordinates, exactly.
+    fn real(self) -> [Self::Real; 3];
+
+    /// The sum of three vertices in the units of `real`, or `None` if one is not valid.
+    fn sum(a: Self, b: Self, c: Self) -> Option<[f64; 3]>;
+
+    /// A hash of the exact bits.
+    fn hash(self) -> u64;
+
+    /// As the block encoder takes them.
+    fn input(vertices: &[Self]) -> VertexInput<'_>;
+
+    /// Whether a block of these vertices counts them with 24 bytes each.
+    fn is_wide(vertices: &[Self], precision: Precision) -> bool;
+
+    /// Whether the bits are the same (for floats stricter than `==`: the two zeros differ).
+    fn same(self, other: Self) -> bool;
+}
+
+/// Odd multipliers of the hashes: 2^64 and 2^64 / golden ratio and roots of small primes, without structure.
+const MULTIPLIERS: [u64; 3] = [0x9e37_79b9_7f4a_7c15, 0xbf58_476d_1ce4_e5b9, 0x94d0_49bb_1331_11eb];
+
+impl Point for [f32; 3] {
+    type Real = f32;
+
+    #[inline]
+    fn real(self) -> [f32; 3] {
+        self
+    }
+
+    #[inline]
+    fn sum(a: Self, b: Self, c: Self) -> Option<[f64; 3]> {
+        // Sums of three f32 cannot overflow f64, so the total is finite if and only if every term is.
+        let sum = [0, 1, 2].map(|axis| f64::from(a[axis]) + f64::from(b[axis]) + f64::from(c[axis]));
+        (sum[0] + sum[1] + sum[2]).is_finite().then_some(sum)
+    }
+
+    #[inline]
+    fn hash(self) -> u64 {
+        let [x, y, z] = self.map(|x| u64::from(x.to_bits()));
+        let hash = (x << 32 | y).wrapping_mul(MULTIPLIERS[0]) ^ z.wrapping_mul(MULTIPLIERS[1]);
+        (hash ^ hash >> 32).wrapping_mul(MULTIPLIERS[2])
+    }
+
+    fn input(vertices: &[Self]) -> VertexInput<'_> {
+        VertexInput::Float32(vertices)
+    }
+
+    fn is_wide(_vertices: &[Self], _precision: Precision) -> bool {
+        false
+    }
+
+    #[inline]
+    fn same(self, other: Self) -> bool {
+        self.map(f32::to_bits) == other.map(f32::to_bits)
+    }
+}
+
+impl Point for [i64; 3] {
+    type Real = f64;
+
+    #[inline]
+    fn real(self) -> [f64; 3] {
+        // Within 2^52, so exact.
+        self.map(|x| x as f64)
+    }
+
+    #[inline]
+    fn sum(a: Self, b: Self, c: Self) -> Option<[f64; 3]> {
+        if [a, b, c].iter().flatten().any(|x| *x == OUTSIDE) {
+            return None;
+        }
+        Some([0, 1, 2].map(|axis| a[axis] as f64 + b[axis] as f64 + c[axis] as f64))
+    }
+
+    #[inline]
+    fn hash(self) -> u64 {
+        let mut hash = 0_u64;
+        for (x, multiplier) in self.into_iter().zip(MULTIPLIERS) {
+            hash = (hash ^ x as u64).wrapping_mul(multiplier);
+            hash ^= hash >> 29;
+        }
+        hash.wrapping_mul(MULTIPLIERS[0])
+    }
+
+    fn input(vertices: &[Self]) -> VertexInput<'_> {
+        VertexInput::Lattice(vertices)
+    }
+
+    fn is_wide(vertices: &[Self], precision: Precision) -> bool {
+        matches!(precision, Precision::Lattice(lattice) if block::is_wide(lattice, vertices))
+    }
+
+    #[inline]
+    fn same(self, other: Self) -> bool {
+        self == other
+    }
+}
+
+/// The float type of a cut.
+pub(super) trait Real: Copy + PartialOrd + Send + Sync + std::fmt::Debug {
+    const INFINITY: Self;
+    const NEG_INFINITY: Self;
+    fn to_f64(self) -> f64;
+
+    /// The lesser; neither is NaN.
+    #[inline]
+    fn least(self, other: Self) -> Self {
+        if other < self { other } else { self }
+    }
+
+    /// The greater; neither is NaN.
+    #[inline]
+    fn most(self, other: Self) -> Self {
+        if other > self { other } else { self }
+    }
+}
+
+impl Real for f32 {
+    const INFINITY: f32 = f32::INFINITY;
+    const NEG_INFINITY: f32 = f32::NEG_INFINITY;
+
+    #[inline]
+    fn to_f64(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+impl Real for f64 {
+    const INFINITY: f64 = f64::INFINITY;
+    const NEG_INFINITY: f64 = f64::NEG_INFINITY;
+
+    #[inline]
+    fn to_f64(self) -> f64 {
+        self
+    }
+}

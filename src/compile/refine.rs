@@ -1,0 +1,194 @@
+//! Buckets that came out too large (geometry much denser than its vertices promised, or one far outlier that made the
+//! grid coarse) are parted again, each with a grid of its own.
+
+use std::ops::Range;
+
+use super::bucket::{BUCKET_TRIANGLES_MAX, Bucket};
+use super::chunk::{Buffered, CHUNK_TRIANGLES_MAX, ChunkRecord};
+use super::point::Point;
+use super::scatter::{Scattered, ranges_by_bucket};
+use crate::error::CompileError;
+
+/// Cells per side of the grid over one bucket; a power of two.
+const SIDE: usize = 32;
+/// Triangles that a part should not exceed.
+const PART_TRIANGLES: u64 = BUCKET_TRIANGLES_MAX / 2;
+
+/// Sum of the triangles of chunks.
+pub(super) fn triangle_count(chunks: &[ChunkRecord]) -> u64 {
+    chunks.iter().map(|chunk| u64::from(chunk.triangles)).sum()
+}
+
+/// Parts every bucket of more than [`BUCKET_TRIANGLES_MAX`] triangles. `go_on` is asked between passes.
+pub(super) fn refine<P: Point>(
+    scattered: &mut Scattered<P>,
+    bucket: &mut Bucket<P>,
+    mut go_on: impl FnMut() -> Result<(), CompileError>,
+) -> Result<(), CompileError> {
+    let mut done = Vec::with_capacity(scattered.buckets.len());
+    // Taken from the end, so that parts come to stand where their bucket stood.
+    let mut open: Vec<Range<usize>> = scattered.buckets.drain(..).rev().collect();
+    while let Some(range) = open.pop() {
+        if triangle_count(&scattered.chunks[range.clone()]) <= BUCKET_TRIANGLES_MAX {
+            done.push(range);
+            continue;
+        }
+        go_on()?;
+        match Grid::over(scattered, bucket, range.clone())? {
+            Some(grid) => {
+                let parts = part(scattered, bucket, range, &grid)?;
+                open.extend(parts.into_iter().rev());
+            }
+            None => done.extend(by_order(&scattered.chunks, range)),
+        }
+    }
+    scattered.buckets = done;
+    Ok(())
+}
+
+/// Parts of triangles that cannot be told apart by place.
+fn by_order(chunks: &[ChunkRecord], range: Range<usize>) -> Vec<Range<usize>> {
+    let mut parts = Vec::new();
+    let (mut start, mut count) = (range.start, 0);
+    for index in range.clone() {
+        let triangles = u64::from(chunks[index].triangles);
+        if count + triangles > PART_TRIANGLES && index > start {
+            parts.push(start..index);
+            (start, count) = (index, 0);
+        }
+        count += triangles;
+    }
+    parts.push(start..range.end);
+    parts
+}
+
+/// Cells over the centroids of a bucket, and the part that each belongs to.
+struct Grid {
+    min: [f64; 3],
+    scale: [f64; 3],
+    part_of: Vec<u32>,
+}
+
+impl Grid {
+    /// Two passes over the bucket; `None` if all centroids coincide.
+    fn over<P: Point>(
+        scattered: &Scattered<P>,
+        bucket: &mut Bucket<P>,
+        range: Range<usize>,
+    ) -> Result<Option<Grid>, CompileError> {
+        let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        for_each_sum(scattered, bucket, range.clone(), |sum| {
+            for axis in 0..3 {
+                min[axis] = min[axis].min(sum[axis]);
+                max[axis] = max[axis].max(sum[axis]);
+            }
+        })?;
+        let scale = [0, 1, 2].map(|axis| {
+            let scale = SIDE as f64 / (max[axis] - min[axis]);
+            if scale.is_finite() { scale } else { 0.0 }
+        });
+        if scale == [0.0; 3] {
+            return Ok(None);
+        }
+        let mut grid = Grid { min, scale, part_of: vec![0; SIDE * SIDE * SIDE] };
+        let mut counts = vec![0_u64; SIDE * SIDE * SIDE];
+        for_each_sum(scattered, bucket, range, |sum| counts[grid.cell(sum)] += 1)?;
+        // In Morton order, so that neighbouring cells come into one part.
+        let (mut part, mut sum) = (0, 0);
+        for code in 0..counts.len() {
+            if sum > 0 && sum + counts[code] > PART_TRIANGLES {
+                (part, sum) = (part + 1, 0);
+            }
+            sum += counts[code];
+            grid.part_of[code] = part;
+        }
+        Ok((part > 0).then_some(grid))
+    }
+
+    /// The Morton code of a centroid's cell.
+    fn cell(&self, sum: [f64; 3]) -> usize {
+        let at = [0, 1, 2].map(|axis| {
+            let cell = ((sum[axis] - self.min[axis]) * self.scale[axis]) as usize;
+            cell.min(SIDE - 1)
+        });
+        let mut code = 0;
+        for bit in 0..SIDE.trailing_zeros() {
+            for (axis, at) in at.iter().enumerate() {
+                code |= (at >> bit & 1) << (3 * bit as usize + axis);
+            }
+        }
+        code
+    }
+}
+
+fn for_each_sum<P: Point>(
+    scattered: &Scattered<P>,
+    bucket: &mut Bucket<P>,
+    range: Range<usize>,
+    mut take: impl FnMut([f64; 3]),
+) -> Result<(), CompileError> {
+    for part in by_order(&scattered.chunks, range) {
+        bucket.load(&scattered.spill, &scattered.chunks[part])?;
+        for triangle in &bucket.triangles {
+            take(sum(bucket, triangle));
+        }
+    }
+    Ok(())
+}
+
+fn sum<P: Point>(bucket: &Bucket<P>, triangle: &[u32; 3]) -> [f64; 3] {
+    let [a, b, c] = triangle.map(|vertex| bucket.vertices[vertex as usize]);
+    P::sum(a, b, c).expect("the scatter let only valid triangles through")
+}
+
+/// Writes the bucket again, part by part; returns the chunks of each.
+fn part<P: Point>(
+    scattered: &mut Scattered<P>,
+    bucket: &mut Bucket<P>,
+    range: Range<usize>,
+    grid: &Grid,
+) -> Result<Vec<Range<usize>>, CompileError> {
+    let first_chunk = scattered.chunks.len();
+    let mut keyed: Vec<(u32, u32)> = Vec::new();
+    let mut buffer: Vec<Buffered> = Vec::new();
+    let mut materials: Vec<[u16; 2]> = Vec::new();
+    for segment in by_order(&scattered.chunks, range) {
+        bucket.load(&scattered.spill, &scattered.chunks[segment])?;
+        keyed.clear();
+        keyed.extend(
+            (0..)
+                .zip(&bucket.triangles)
+                .map(|(index, triangle)| (grid.part_of[grid.cell(sum(bucket, triangle))], index)),
+        );
+        // The index as second key keeps the order of ids.
+        keyed.sort_unstable();
+        for group in keyed.chunk_by(|a, b| a.0 == b.0) {
+            let mut rest = group;
+            while let Some(&(part, first)) = rest.first() {
+                let first_id = bucket.ids[first as usize];
+                buffer.clear();
+                materials.clear();
+                for &(_, index) in rest.iter().take(CHUNK_TRIANGLES_MAX) {
+                    let index = index as usize;
+                    let Ok(delta) = u32::try_from(bucket.ids[index] - first_id) else { break };
+                    let [a, b, c] = bucket.triangles[index];
+                    buffer.push([a, b, c, delta]);
+                    match materials.last_mut() {
+                        Some(run) if run[1] == bucket.materials[index] => run[0] += 1,
+                        _ => materials.push([1, bucket.materials[index]]),
+                    }
+                }
+                rest = &rest[buffer.len()..];
+                let lookup = |vertex: u32| Ok(bucket.vertices[vertex as usize]);
+                let bytes = scattered.writer.write(&buffer, first_id, &materials, lookup)?;
+                let offset = scattered.spill.append(bytes)?;
+                let bytes = bytes.len() as u32;
+                let vertices = scattered.writer.vertex_count() as u16;
+                let triangles = buffer.len() as u16;
+                scattered.chunks.push(ChunkRecord { offset, bytes, bucket: part, triangles, vertices });
+            }
+        }
+    }
+    scattered.chunks[first_chunk..].sort_by_key(|chunk| chunk.bucket);
+    Ok(ranges_by_bucket(&scattered.chunks, first_chunk))
+}

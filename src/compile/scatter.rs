@@ -1,0 +1,201 @@
+//! Triangles to buckets: each goes to the bucket of its centroid, and buckets are flushed as chunks.
+
+use std::ops::Range;
+
+use super::chunk::{Buffered, CHUNK_TRIANGLES_MAX, ChunkRecord, ChunkWriter};
+use super::grid::BucketMap;
+use super::point::Point;
+use super::spill::{Spill, SpillPlace};
+use super::vertices::Lookup;
+use crate::budget::Reservation;
+use crate::error::{BudgetError, CompileError};
+use crate::units::Bytes;
+
+/// Fewest triangles in a bucket's buffer that still make useful chunks.
+const BUFFER_TRIANGLES_MIN: usize = 32;
+
+/// The triangles of every bucket, in chunks.
+#[derive(Debug)]
+pub(super) struct Scattered<P> {
+    pub(super) spill: Spill,
+    pub(super) chunks: Vec<ChunkRecord>,
+    /// The chunks of each bucket that holds any, in octree order.
+    pub(super) buckets: Vec<Range<usize>>,
+    /// Source ordinals of triangles that were left out because they are not finite.
+    pub(super) skipped: u64,
+    pub(super) writer: ChunkWriter<P>,
+}
+
+/// What is wrong with a triangle that has no valid centroid.
+pub(super) enum Fault {
+    /// A coordinate is NaN or infinite.
+    NotFinite,
+    /// The chosen precision cannot hold it.
+    OutOfRange,
+}
+
+/// Takes triangles, one batch after the other.
+#[derive(Debug)]
+pub(super) struct Scatter<P> {
+    map: BucketMap,
+    /// Grid cells per third of a point's unit: takes a sum of three vertices to the grid.
+    scale: f64,
+    /// Triangles per bucket in `buffers`.
+    capacity: usize,
+    buffers: Vec<Buffered>,
+    buckets: Vec<Bucket>,
+    writer: ChunkWriter<P>,
+    spill: Spill,
+    chunks: Vec<ChunkRecord>,
+    skip_not_finite: bool,
+    skipped: u64,
+    _reservation: Reservation,
+}
+
+/// The state of a bucket's buffer.
+#[derive(Clone, Debug, Default)]
+struct Bucket {
+    first_id: u64,
+    len: u32,
+    material: u16,
+    /// Where the last run of `materials` starts.
+    run_start: u16,
+    /// Closed runs of (length, material).
+    materials: Vec<[u16; 2]>,
+}
+
+impl<P: Point> Scatter<P> {
+    /// `unit` is the length of a coordinate step of `P`; `share` the bytes that the buffers may take.
+    pub(super) fn new(
+        map: BucketMap,
+        unit: f64,
+        place: SpillPlace,
+        share: u64,
+        spill_headroom: u64,
+        skip_not_finite: bool,
+    ) -> Result<Scatter<P>, BudgetError> {
+        let count = map.count();
+        let fitting = share as usize / (count * size_of::<Buffered>());
+        let capacity = fitting.clamp(BUFFER_TRIANGLES_MIN, CHUNK_TRIANGLES_MAX);
+        let bytes = count * (capacity * size_of::<Buffered>() + size_of::<Bucket>());
+        let reservation = place.budget.reserve(Bytes(bytes as u64), "the buffers of buckets")?;
+        Ok(Scatter {
+            scale: map.scale() * unit / 3.0,
+            capacity,
+            buffers: vec![[0; 4]; count * capacity],
+            buckets: vec![Bucket::default(); count],
+            writer: ChunkWriter::new(),
+            spill: Spill::new(place, ".spill", spill_headroom)?,
+            chunks: Vec::new(),
+            skip_not_finite,
+            skipped: 0,
+            _reservation: reservation,
+            map,
+        })
+    }
+
+    /// Places triangles with ids from `first_id` on.
+    ///
+    /// # Errors
+    /// Spill cannot be written or read, or a triangle is not valid and may not be skipped; `fault` says why it is not.
+    pub(super) fn add<L: Lookup<Point = P>>(
+        &mut self,
+        triangles: &[[u32; 3]],
+        material: u16,
+        first_id: u64,
+        lookup: &mut L,
+        mut fault: impl FnMut(&mut L, [u32; 3]) -> Result<Fault, CompileError>,
+    ) -> Result<(), CompileError> {
+        for (&[a, b, c], id) in triangles.iter().zip(first_id..) {
+            let corners = (lookup.get(a)?, lookup.get(b)?, lookup.get(c)?);
+            let Some(sum) = P::sum(corners.0, corners.1, corners.2) else {
+                match fault(lookup, [a, b, c])? {
+                    Fault::NotFinite if self.skip_not_finite => {
+                        self.skipped += 1;
+                        continue;
+                    }
+                    Fault::NotFinite => return Err(CompileError::NotFinite { triangle: id }),
+                    Fault::OutOfRange => {
+                        let reason = format!(
+                            "triangle {id} has a coordinate outside the range of the chosen precision; choose a coarser lattice"
+                        );
+                        return Err(CompileError::Limit { reason });
+                    }
+                }
+            };
+            let index = self.map.bucket(sum, self.scale);
+            let bucket = &mut self.buckets[index];
+            if bucket.len == 0 {
+                (bucket.first_id, bucket.material, bucket.run_start) = (id, material, 0);
+            } else if bucket.len as usize == self.capacity || id - bucket.first_id > u64::from(u32::MAX) {
+                self.flush(index, lookup)?;
+                let bucket = &mut self.buckets[index];
+                (bucket.first_id, bucket.material, bucket.run_start) = (id, material, 0);
+            }
+            let bucket = &mut self.buckets[index];
+            if bucket.material != material {
+                bucket.materials.push([bucket.len as u16 - bucket.run_start, bucket.material]);
+                (bucket.material, bucket.run_start) = (material, bucket.len as u16);
+            }
+            self.buffers[index * self.capacity + bucket.len as usize] =
+                [a, b, c, (id - bucket.first_id) as u32];
+            bucket.len += 1;
+        }
+        Ok(())
+    }
+
+    fn flush<L: Lookup<Point = P>>(&mut self, index: usize, lookup: &mut L) -> Result<(), CompileError> {
+        let bucket = &mut self.buckets[index];
+        let len = bucket.len as usize;
+        bucket.materials.push([len as u16 - bucket.run_start, bucket.material]);
+        let start = index * self.capacity;
+        let triangles = &self.buffers[start..start + len];
+        let bytes =
+            self.writer.write(triangles, bucket.first_id, &bucket.materials, |vertex| lookup.get(vertex))?;
+        let offset = self.spill.append(bytes)?;
+        let bytes = bytes.len() as u32;
+        let vertices = self.writer.vertex_count() as u16;
+        self.chunks.push(ChunkRecord {
+            offset,
+            bytes,
+            bucket: index as u32,
+            triangles: len as u16,
+            vertices,
+        });
+        bucket.materials.clear();
+        bucket.len = 0;
+        Ok(())
+    }
+
+    /// Flushes all buffers.
+    pub(super) fn finish<L: Lookup<Point = P>>(
+        mut self,
+        lookup: &mut L,
+    ) -> Result<Scattered<P>, CompileError> {
+        for index in 0..self.buckets.len() {
+            if self.buckets[index].len > 0 {
+                self.flush(index, lookup)?;
+            }
+        }
+        // Stable: chunks of a bucket stay in the order of ids.
+        self.chunks.sort_by_key(|chunk| chunk.bucket);
+        Ok(Scattered {
+            spill: self.spill,
+            buckets: ranges_by_bucket(&self.chunks, 0),
+            chunks: self.chunks,
+            skipped: self.skipped,
+            writer: self.writer,
+        })
+    }
+}
+
+/// The ranges of equal buckets in `chunks[start..]`, which is sorted by bucket.
+pub(super) fn ranges_by_bucket(chunks: &[ChunkRecord], mut start: usize) -> Vec<Range<usize>> {
+    let groups = chunks[start..].chunk_by(|a, b| a.bucket == b.bucket);
+    groups
+        .map(|group| {
+            start += group.len();
+            start - group.len()..start
+        })
+        .collect()
+}
