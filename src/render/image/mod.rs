@@ -1,0 +1,65 @@
+//! Picture files: PNG (8 bit, sRGB), OpenEXR (32-bit float, linear) and PFM (the same, uncompressed).
+
+#[cfg(feature = "exr")]
+mod exr;
+mod pfm;
+#[cfg(feature = "png")]
+mod png;
+mod publish;
+#[cfg(feature = "png")]
+mod srgb;
+
+use std::path::Path;
+
+use super::Film;
+use crate::error::RenderError;
+
+/// A kind of picture file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageFormat {
+    /// 8 bits per channel, sRGB (feature `png`).
+    Png,
+    /// OpenEXR, 32-bit float, linear (feature `exr`).
+    Exr,
+    /// Portable float map, linear.
+    Pfm,
+}
+
+impl ImageFormat {
+    /// The format that the extension of `path` names, in any case of letters. Ask before a long render.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] if it names none, or one that this build leaves out.
+    pub fn of_path(path: &Path) -> Result<ImageFormat, RenderError> {
+        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or("");
+        let error = |reason: String| Err(RenderError::Setting { what: "image file", reason });
+        match extension.to_ascii_lowercase().as_str() {
+            "png" if cfg!(feature = "png") => Ok(ImageFormat::Png),
+            "exr" if cfg!(feature = "exr") => Ok(ImageFormat::Exr),
+            "pfm" => Ok(ImageFormat::Pfm),
+            known @ ("png" | "exr") => {
+                error(format!("{}: build with the feature `{known}` to write it", path.display()))
+            }
+            _ => error(format!("{}: the name must end in .png, .exr or .pfm", path.display())),
+        }
+    }
+}
+
+/// Writes `film` to `path`; see [`Film::write`].
+pub(super) fn write(film: &Film, path: &Path) -> Result<(), RenderError> {
+    let format = ImageFormat::of_path(path)?;
+    publish::atomically(path, |file| match format {
+        #[cfg(feature = "png")]
+        ImageFormat::Png => png::encode(film, file),
+        #[cfg(feature = "exr")]
+        ImageFormat::Exr => exr::encode(film, file),
+        ImageFormat::Pfm => pfm::encode(film, file),
+        // `of_path` does not give formats that the build leaves out.
+        #[allow(unreachable_patterns)]
+        _ => Err(std::io::ErrorKind::Unsupported.into()),
+    })
+    .map_err(|error| RenderError::Write { path: path.to_path_buf(), error })
+}
+
+#[cfg(test)]
+mod tests;

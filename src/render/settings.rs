@@ -1,0 +1,100 @@
+//! What a caller chooses about a picture beside the scene.
+
+use super::sampling::Filter;
+use super::tiles::TileGrid;
+use crate::error::RenderError;
+use crate::scene::{EffectOptions, EffectSet};
+
+/// Size, quality and limits of a picture. The picture is a pure function of scene, model and the fields above
+/// `tile_size` (I2); `tile_size` and `batch_samples` trade memory for speed and do not show.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderSettings {
+    /// Pixels across.
+    pub width: u32,
+    /// Pixels down.
+    pub height: u32,
+    /// Samples per pixel; a single one lies in the pixel's middle.
+    pub samples_per_pixel: u32,
+    /// How samples are spread around their pixel.
+    pub filter: Filter,
+    /// Key of the sample positions.
+    pub seed: u64,
+    /// A ray is not followed, and a lamp not asked for, if it could not add more than this to any channel of its sample:
+    /// throughput times a proven bound on the radiance that can arrive. Linear, in the unit of the lights; 0 follows
+    /// everything that could add anything at all.
+    pub contribution_bound: f64,
+    /// Most rays that one sample's tree may hold, shadow rays not counted. There is no limit on depth; this guards
+    /// against lossless mirrors that face each other. A budget is divided among the rays that a ray spawns, so it
+    /// cuts the same rays in every run, and the report says how often it did.
+    pub work_budget: u64,
+    /// Effects that are left out although the scene calls for them; see [`EffectOptions::switched_off`].
+    pub switched_off: EffectSet,
+    /// Effects that are traced although they cannot matter; see [`EffectOptions::forced`].
+    pub forced: EffectSet,
+    /// Side of a tile in pixels, 1 to 4096.
+    pub tile_size: u32,
+    /// Samples that are traced together at most; each holds one to three kilobytes in each thread.
+    pub batch_samples: u32,
+}
+
+impl RenderSettings {
+    /// A picture of `width` by `height` pixels with one sample each.
+    pub fn new(width: u32, height: u32) -> RenderSettings {
+        RenderSettings {
+            width,
+            height,
+            samples_per_pixel: 1,
+            filter: Filter::default(),
+            seed: 0,
+            contribution_bound: 1e-3,
+            work_budget: 1 << 14,
+            switched_off: EffectSet::EMPTY,
+            forced: EffectSet::EMPTY,
+            tile_size: 32,
+            batch_samples: 1024,
+        }
+    }
+
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] for the first that makes no sense.
+    pub fn validate(&self) -> Result<(), RenderError> {
+        let check = |holds: bool, what: &'static str, reason: &str| {
+            if holds { Ok(()) } else { Err(RenderError::Setting { what, reason: reason.to_string() }) }
+        };
+        const SIDE_MAX: u32 = 1 << 20;
+        let sides = [self.width, self.height];
+        check(
+            sides.iter().all(|side| (1..=SIDE_MAX).contains(side))
+                && u64::from(self.width) * u64::from(self.height) <= u64::from(u32::MAX),
+            "image size",
+            "each side must be between 1 and 1,048,576 pixels and the image below 2^32 pixels",
+        )?;
+        check(self.samples_per_pixel >= 1, "samples per pixel", "there must be at least one")?;
+        check(
+            self.contribution_bound >= 0.0 && self.contribution_bound.is_finite(),
+            "contribution bound",
+            "it must be finite and not negative",
+        )?;
+        check(self.work_budget >= 1, "work budget", "a sample needs at least one ray")?;
+        check((1..=4096).contains(&self.tile_size), "tile size", "it must be between 1 and 4096 pixels")?;
+        check(
+            (1..=1 << 20).contains(&self.batch_samples),
+            "batch size",
+            "it must be between 1 and 1,048,576 samples",
+        )
+    }
+
+    pub(crate) fn effect_options(&self) -> EffectOptions {
+        EffectOptions {
+            samples_per_pixel: self.samples_per_pixel,
+            switched_off: self.switched_off,
+            forced: self.forced,
+        }
+    }
+
+    pub(crate) fn grid(&self) -> TileGrid {
+        TileGrid { width: self.width, height: self.height, tile_size: self.tile_size }
+    }
+}

@@ -1,0 +1,135 @@
+//! The image cut into square tiles, and the orders in which tiles and pixels are visited.
+//!
+//! Both orders follow space-filling curves: neighbours in time are neighbours on the image, so their rays reach the
+//! same blocks. Orders never show in the picture (I2).
+
+use crate::units::Bytes;
+
+/// A rectangle of pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Area {
+    pub x: u32,
+    pub y: u32,
+    pub width: u32,
+    pub height: u32,
+}
+
+/// An image of `width` by `height` pixels in tiles of `tile_size` pixels a side (less at the right and lower border).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TileGrid {
+    pub width: u32,
+    pub height: u32,
+    pub tile_size: u32,
+}
+
+impl TileGrid {
+    /// How many tiles there are.
+    pub fn tile_count(&self) -> usize {
+        self.columns() as usize * self.height.div_ceil(self.tile_size) as usize
+    }
+
+    fn columns(&self) -> u32 {
+        self.width.div_ceil(self.tile_size)
+    }
+
+    /// The pixels of the cell numbered row by row.
+    pub fn area(&self, cell: u32) -> Area {
+        let (x, y) = (cell % self.columns() * self.tile_size, cell / self.columns() * self.tile_size);
+        Area { x, y, width: self.tile_size.min(self.width - x), height: self.tile_size.min(self.height - y) }
+    }
+
+    /// Every cell once, along a Hilbert curve over the enclosing square.
+    pub fn hilbert_order(&self) -> Vec<u32> {
+        let (columns, rows) = (self.columns(), self.height.div_ceil(self.tile_size));
+        let side = columns.max(rows).next_power_of_two();
+        let mut cells: Vec<u32> = (0..columns * rows).collect();
+        cells.sort_by_cached_key(|cell| hilbert_index(side, cell % columns, cell / columns));
+        cells
+    }
+
+    /// What [`TileGrid::hilbert_order`] takes while it sorts.
+    pub fn order_bytes(&self) -> Bytes {
+        // The cells, and a key with an index beside each.
+        Bytes(self.tile_count() as u64 * (4 + 16))
+    }
+}
+
+/// Position of a cell along the Hilbert curve through a square of `side` (a power of two) cells.
+fn hilbert_index(side: u32, mut x: u32, mut y: u32) -> u64 {
+    let mut index = 0;
+    let mut half = side / 2;
+    while half > 0 {
+        let (right, lower) = (u32::from(x & half != 0), u32::from(y & half != 0));
+        index += u64::from(half) * u64::from(half) * u64::from((3 * right) ^ lower);
+        // Turn the quadrant so that the curve enters and leaves it where its neighbours expect.
+        if lower == 0 {
+            if right == 1 {
+                x = side - 1 - x;
+                y = side - 1 - y;
+            }
+            std::mem::swap(&mut x, &mut y);
+        }
+        half /= 2;
+    }
+    index
+}
+
+/// The pixels of a tile of `width` by `height` (each at most 65,535), as offsets from its corner in Morton order.
+pub(crate) fn morton_order(width: u32, height: u32, into: &mut Vec<[u16; 2]>) {
+    into.clear();
+    let side = u64::from(width.max(height).next_power_of_two());
+    for code in 0..side * side {
+        let (x, y) = (every_other_bit(code), every_other_bit(code >> 1));
+        if x < width && y < height {
+            into.push([x as u16, y as u16]);
+        }
+    }
+}
+
+/// Bits 0, 2, 4, ... of `code`, moved together.
+fn every_other_bit(code: u64) -> u32 {
+    let mut bits = code & 0x5555_5555_5555_5555;
+    for (shift, mask) in [
+        (1, 0x3333_3333_3333_3333u64),
+        (2, 0x0f0f_0f0f_0f0f_0f0f),
+        (4, 0x00ff_00ff_00ff_00ff),
+        (8, 0x0000_ffff_0000_ffff),
+        (16, 0xffff_ffff),
+    ] {
+        bits = (bits | bits >> shift) & mask;
+    }
+    bits as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_pixel_belongs_to_one_tile() {
+        for (width, height, tile_size) in [(1, 1, 8), (100, 37, 16), (64, 64, 64), (65, 9, 8)] {
+            let grid = TileGrid { width, height, tile_size };
+            let mut seen = vec![0u8; (width * height) as usize];
+            let order = grid.hilbert_order();
+            assert_eq!(order.len(), grid.tile_count());
+            let mut pixels = Vec::new();
+            for cell in order {
+                let area = grid.area(cell);
+                morton_order(area.width, area.height, &mut pixels);
+                for [x, y] in &pixels {
+                    seen[((area.y + u32::from(*y)) * width + area.x + u32::from(*x)) as usize] += 1;
+                }
+            }
+            assert!(seen.iter().all(|count| *count == 1), "{width} x {height} / {tile_size}");
+        }
+    }
+
+    #[test]
+    fn steps_along_the_curve_are_short() {
+        let order = TileGrid { width: 64, height: 64, tile_size: 4 }.hilbert_order();
+        for pair in order.windows(2) {
+            let [a, b] = [pair[0], pair[1]].map(|cell| ((cell % 16) as i32, (cell / 16) as i32));
+            assert_eq!((a.0 - b.0).abs() + (a.1 - b.1).abs(), 1);
+        }
+    }
+}

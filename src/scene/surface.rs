@@ -1,0 +1,132 @@
+//! From the material record of the compiled file to the terms that shading uses.
+//!
+//! The mapping (MTL names in brackets), with opacity `d` clamped to 0 ..= 1:
+//!
+//! | term | value | meaning |
+//! |---|---|---|
+//! | diffuse | `d Kd` | Lambert, per light and for ambient light, on the side that is seen |
+//! | highlight | `Ks`, exponent `Ns` | Blinn: `Ks (n . h)^Ns` per light; not weakened by transparency, as glass keeps its highlights |
+//! | mirror | `d min(Ks, 1)` if `illum >= 3` | reflects the scene |
+//! | transmission | `1 - d` | the share that enters. If `Ni` is not 1, Fresnel's equations split it into a reflected and a refracted part that add up to it; if `Ni` is 1, all of it passes straight on |
+//! | absorption | `-ln Tf` | Beer-Lambert, per unit of length inside (the segment that ends at the surface from behind) |
+//!
+//! `d min(Ks, 1) + (1 - d) <= 1` in each channel: no surface sends on more than it gets. The renderer's bound on
+//! radiance rests on this.
+
+use crate::model::MaterialRecord;
+
+/// Shading terms of a material, derived once per render. All numbers are finite and not negative.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// Emitted radiance.
+    pub emission: [f64; 3],
+    /// Diffuse reflectance, opacity applied.
+    pub diffuse: [f64; 3],
+    /// Strength of the highlight of a light.
+    pub highlight: [f64; 3],
+    /// Blinn exponent of the highlight.
+    pub exponent: f64,
+    /// Share of incoming light that is mirrored, opacity applied; at most 1.
+    pub mirror: [f64; 3],
+    /// Share of incoming light that passes the surface, before Fresnel: 0 ..= 1.
+    pub transmission: f64,
+    /// Absorption coefficient per unit of length inside.
+    pub absorption: [f64; 3],
+    /// At least 1; exactly 1 passes light straight on.
+    pub refractive_index: f64,
+}
+
+impl Surface {
+    /// Largest absorption coefficient: `Tf` of zero means opaque within a unit, not a product of 0 and infinity.
+    const ABSORPTION_MAX: f64 = 64.0;
+
+    /// Derives the terms as the module's table says. Numbers that make no sense (negative, not finite) count as 0,
+    /// a missing refractive index as 1.
+    pub fn from_record(record: &MaterialRecord) -> Surface {
+        let opacity =
+            if record.opacity.is_finite() { f64::from(record.opacity).clamp(0.0, 1.0) } else { 1.0 };
+        let specular = record.specular.map(sensible);
+        let index = sensible(record.refractive_index);
+        Surface {
+            emission: record.emission.map(sensible),
+            diffuse: record.diffuse.map(|channel| opacity * sensible(channel)),
+            highlight: specular,
+            exponent: sensible(record.shininess),
+            mirror: specular.map(|channel| if record.mirror { opacity * channel.min(1.0) } else { 0.0 }),
+            transmission: 1.0 - opacity,
+            absorption: record.transmission.map(|channel| {
+                let share = sensible(channel).min(1.0);
+                if share > 0.0 {
+                    (-libm::log(share)).clamp(0.0, Self::ABSORPTION_MAX)
+                } else {
+                    Self::ABSORPTION_MAX
+                }
+            }),
+            refractive_index: if index >= 1.0 { index } else { 1.0 },
+        }
+    }
+
+    /// Whether light from a lamp shows on it.
+    pub fn is_lit(&self) -> bool {
+        self.diffuse != [0.0; 3] || self.highlight != [0.0; 3]
+    }
+
+    /// Whether it mirrors the scene in its own right (not by Fresnel).
+    pub fn is_mirror(&self) -> bool {
+        self.mirror != [0.0; 3]
+    }
+
+    /// Whether light passes through it.
+    pub fn is_transparent(&self) -> bool {
+        self.transmission > 0.0
+    }
+
+    /// Whether it splits light by Fresnel's equations.
+    pub fn refracts(&self) -> bool {
+        self.is_transparent() && self.refractive_index != 1.0
+    }
+}
+
+fn sensible(x: f32) -> f64 {
+    if x.is_finite() { f64::from(x.max(0.0)) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn glass_of_the_gears_model() {
+        let record = MaterialRecord {
+            diffuse: [0.2, 0.8, 1.0],
+            opacity: 0.2,
+            refractive_index: 1.1,
+            ..MaterialRecord::default()
+        };
+        let surface = Surface::from_record(&record);
+        assert!(surface.refracts() && surface.is_lit() && !surface.is_mirror());
+        assert!((surface.transmission - 0.8).abs() < 1e-7);
+        assert!((surface.diffuse[1] - 0.16).abs() < 1e-7);
+        assert_eq!(surface.absorption, [0.0; 3]);
+    }
+
+    #[test]
+    fn nonsense_becomes_harmless() {
+        let record = MaterialRecord {
+            name: String::new(),
+            diffuse: [f32::NAN, -1.0, 3.0],
+            specular: [f32::INFINITY, 0.5, 7.0],
+            shininess: f32::NAN,
+            emission: [-0.0; 3],
+            opacity: f32::NAN,
+            transmission: [0.0, 2.0, f32::NAN],
+            refractive_index: f32::NAN,
+            mirror: true,
+        };
+        let surface = Surface::from_record(&record);
+        assert_eq!(surface.diffuse, [0.0, 0.0, 3.0]);
+        assert_eq!(surface.mirror, [0.0, 0.5, 1.0]);
+        assert_eq!(surface.absorption, [Surface::ABSORPTION_MAX, 0.0, Surface::ABSORPTION_MAX]);
+        assert_eq!((surface.refractive_index, surface.transmission, surface.exponent), (1.0, 0.0, 0.0));
+    }
+}
