@@ -286,37 +286,95 @@ fn is_finished_and_silent(source: &Source) -> Vec<String> {
     complaints
 }
 
-/// The public API speaks in arrays: no type of the vector library in a public signature, field or re-export.
-fn keeps_glam_private(source: &Source) -> Vec<String> {
-    let is_vector = |name: &str| {
-        name == "glam"
-            || [
-                "Vec2", "Vec3", "Vec3A", "Vec4", "DVec2", "DVec3", "DVec4", "Mat3", "Mat4", "DMat3", "DMat4",
-                "Quat",
-            ]
-            .contains(&name)
-    };
+/// Top-level items of a file: where each starts, its head up to the brace, and its body.
+fn items(code: &str) -> Vec<(usize, &str, &str)> {
+    let mut items = Vec::new();
+    let mut start = 0;
+    while let Some(length) = code[start..].find(['{', ';']) {
+        let at = start + length;
+        // `use a::{b, c};` and `const X: [T; 2] = [...]` end at a semicolon; close enough for their heads.
+        let end = if code[at..].starts_with('{') { matching_brace(code, at) } else { at + 1 };
+        let skipped = code[start..at].len() - code[start..at].trim_start().len();
+        items.push((start + skipped, code[start..at].trim_start(), &code[at..end]));
+        start = end;
+    }
+    items
+}
+
+/// Identifiers in the `pub use` statements of a `mod.rs`, and modules that are themselves public.
+fn exported_names(mod_code: &str) -> Vec<&str> {
+    let statements = words(mod_code, "pub").into_iter().filter_map(|at| {
+        let statement = &mod_code[at + 3..];
+        let statement = statement.trim_start();
+        (statement.starts_with("use ") || statement.starts_with("mod "))
+            .then(|| &statement[4..statement.find(';').unwrap_or(statement.len())])
+    });
+    // In `use a::{b, c}` the path `a` is not exported.
+    let names =
+        |statement| identifiers(statement).filter(move |name| !statement.contains(&format!("{name}::")));
+    statements.flat_map(names).collect()
+}
+
+fn identifiers(code: &str) -> impl Iterator<Item = &str> {
+    code.split(|c: char| !(c.is_alphanumeric() || c == '_')).filter(|name| !name.is_empty())
+}
+
+/// The public API speaks in arrays: no type of the vector library in a public signature, field or re-export. `mod_code` is
+/// the code of the `mod.rs` that the file belongs to.
+fn keeps_glam_private(source: &Source, mod_code: &str) -> Vec<String> {
+    const VECTORS: [&str; 13] = [
+        "glam", "Vec2", "Vec3", "Vec3A", "Vec4", "DVec2", "DVec3", "DVec4", "Mat3", "Mat4", "DMat3", "DMat4",
+        "Quat",
+    ];
     if !source.path.starts_with("src/") {
         return vec![];
     }
+    let exported = exported_names(mod_code);
+    let file = source.path.rsplit('/').next().unwrap_or_default().trim_end_matches(".rs");
+    let in_public_module = file == "mod" || source.path.matches('/').count() == 1 || exported.contains(&file);
+    let is_public_name = |name: &str| in_public_module || exported.contains(&name);
+    let code = source.shipped_code();
     let mut complaints = Vec::new();
-    for at in words(&source.code, "pub") {
-        let item = &source.code[at + 3..];
-        // `pub(crate)` and the like are private to the crate.
-        if item.starts_with('(') {
-            continue;
+    for (at, head, body) in items(&code) {
+        // Attributes before the item.
+        let head = head
+            .rfind(']')
+            .filter(|_| head.starts_with('#'))
+            .map_or(head, |end| head[end + 1..].trim_start());
+        let mut text = String::new();
+        if let Some(declaration) = head.strip_prefix("pub ") {
+            let mut names = identifiers(declaration);
+            let kind = names.find(|name| !["const", "unsafe", "async", "extern"].contains(name));
+            let name = names.next().unwrap_or_default();
+            match kind {
+                Some("use") => text = format!("{declaration} {body}"),
+                _ if !is_public_name(name) => continue,
+                Some("enum" | "trait" | "union") => text = format!("{declaration} {body}"),
+                Some("struct") => text = format!("{declaration} {}", public_members(body)),
+                _ => text = declaration.to_string(),
+            }
+        } else if head.starts_with("impl") {
+            let target = head.rsplit_once(" for ").map_or(head, |(_, target)| target);
+            if identifiers(target).any(|name| exported.contains(&name) || in_public_module && name != "impl")
+            {
+                let is_of_trait = head.contains(" for ");
+                text =
+                    if is_of_trait { head.to_string() } else { format!("{head} {}", public_members(body)) };
+            }
         }
-        let is_type =
-            ["struct", "enum", "union", "trait"].iter().any(|kind| item.trim_start().starts_with(kind));
-        // A type's fields and a trait's methods have or need their own `pub`, or count whole below.
-        let end = item.find(if is_type { ['{', ';'] } else { ['{', '='] }).unwrap_or(item.len());
-        let end = end.min(item.find(";\n").unwrap_or(item.len())).min(item.find(",\n").unwrap_or(item.len()));
-        let signature = item[..end].split(|c: char| !(c.is_alphanumeric() || c == '_'));
-        if let Some(name) = signature.into_iter().find(|name| is_vector(name)) {
+        if let Some(name) = identifiers(&text).find(|name| VECTORS.contains(name)) {
             complaints.push(source.complaint(at, &format!("`{name}` in the public API")));
         }
     }
     complaints
+}
+
+/// Signatures of the members of a struct or `impl` body that are plainly `pub`.
+fn public_members(body: &str) -> String {
+    let ends: &[char] = if body.contains("fn ") { &['{', ';'] } else { &[',', '}'] };
+    let members = words(body, "pub").into_iter().filter(|at| !body[at + 3..].starts_with('('));
+    let signature = |at: usize| &body[at..][..body[at..].find(ends).unwrap_or(body.len() - at)];
+    members.map(signature).collect::<Vec<_>>().join("\n")
 }
 
 /// No path of somebody's machine in any committed text.
@@ -373,15 +431,15 @@ fn all_complaints(texts: &[(String, String)]) -> Vec<String> {
         if path.ends_with(".rs") {
             let source = Source::new(path, text);
             complaints.extend(imports_only_upward(&source, &rooms));
-            for rule in [
-                is_short_enough,
-                unsafe_stands_where_it_may,
-                unsafe_is_argued,
-                is_finished_and_silent,
-                keeps_glam_private,
-            ] {
+            for rule in
+                [is_short_enough, unsafe_stands_where_it_may, unsafe_is_argued, is_finished_and_silent]
+            {
                 complaints.extend(rule(&source));
             }
+            let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
+            let mod_file = if folder == "src" { path.clone() } else { format!("{folder}/mod.rs") };
+            let mod_text = texts.iter().find(|(path, _)| *path == mod_file).map_or("", |(_, text)| text);
+            complaints.extend(keeps_glam_private(&source, &Source::new(&mod_file, mod_text).code));
         }
     }
     complaints
@@ -469,18 +527,34 @@ fn unfinished_and_talkative_code_is_found() {
 
 #[test]
 fn glam_in_the_public_api_is_found() {
-    let complaints = |text: &str| keeps_glam_private(&sample("src/x.rs", text)).len();
+    let mod_code = "mod x;\npub use x::{S, f, g};\n";
+    let complaints = |text: &str| keeps_glam_private(&sample("src/room/x.rs", text), mod_code).len();
     for bad in [
         "pub use glam::Vec3;",
         "pub fn f(a: Vec3A) -> f32 {\n}",
+        "#[inline]\npub const fn g() -> glam::Mat4 { x }",
         "pub struct S {\n    pub at: DVec3,\n    pub x: f32,\n}",
-        "pub struct S(pub DVec3);\n",
-        "pub type T = [f32; 3];\npub const fn g() -> glam::Mat4 { x }",
+        "pub struct S {\n    pub x: f32,\n    pub at: [DVec3; 2]\n}",
+        "pub enum S { A(DVec3) }",
+        "pub struct S;\nimpl S {\n    pub fn new(x: Vec3) -> S { S }\n}",
+        "impl From<Vec3> for S { fn from(x: Vec3) -> S { S } }",
     ] {
-        assert!(complaints(bad) >= 1, "{bad}");
+        assert_eq!(complaints(bad), 1, "{bad}");
     }
-    let fine = "use glam::Vec3;\npub(crate) fn f(a: Vec3) {}\nfn g(a: Vec3) {}\npub fn h(a: [f32; 3]) { Vec3::from(a); }\npub struct S { at: Vec3 }";
-    assert_eq!(complaints(fine), 0);
+    for fine in [
+        "use glam::Vec3;\npub(crate) fn f(a: Vec3) {}\nfn g(a: Vec3) {}",
+        "pub fn f(a: [f32; 3]) { Vec3::from(a); }",
+        "pub struct S { at: Vec3, pub(crate) b: Vec3, pub c: f32 }",
+        "pub(crate) struct S { pub at: Vec3 }",
+        "// Not exported.\npub struct Inner { pub at: Vec3 }\nimpl Inner { pub fn h(&self) -> Vec3 { self.at } }",
+        "impl S {\n    fn h(&self) -> Vec3 { x }\n    pub fn k(&self) { let pub_at: Vec3 = x; }\n}",
+    ] {
+        assert_eq!(complaints(fine), 0, "{fine}");
+    }
+    // A public module exports all of itself.
+    let text = "pub fn anything() -> Vec3 {}";
+    assert_eq!(keeps_glam_private(&sample("src/room/x.rs", text), "pub mod x;").len(), 1);
+    assert_eq!(keeps_glam_private(&sample("src/room.rs", text), "").len(), 1);
 }
 
 #[test]
