@@ -4,7 +4,9 @@ use super::check::{BlockCheck, Fault, checksum};
 use super::codec::{self, Codec};
 use super::data::{BlockData, BlockLimits};
 use super::header::{BLOCK_HEADER_BYTES, Header, payload_bytes_max};
-use super::{ids, indices, materials, vertices};
+use super::shapes::{self, Parents, Streams};
+use super::vertices::Stored;
+use super::{ids, materials};
 use crate::error::BlockError;
 use crate::geom::Precision;
 use crate::units::Bytes;
@@ -14,6 +16,8 @@ use crate::units::Bytes;
 pub struct DecodeScratch {
     payload: Vec<u8>,
     columns: Vec<u32>,
+    distances: Vec<u16>,
+    parents: Vec<Parents>,
 }
 
 impl DecodeScratch {
@@ -22,12 +26,18 @@ impl DecodeScratch {
         DecodeScratch {
             payload: vec![0; payload_bytes_max(limits)],
             columns: vec![0; 3 * limits.vertex_count_max()],
+            distances: vec![0; 3 * limits.triangle_count_max() + 3],
+            parents: vec![Parents::default(); limits.vertex_count_max() + 1],
         }
     }
 
     /// What [`DecodeScratch::with_limits`] allocates, for the memory budget (I1).
     pub fn bytes_for(limits: BlockLimits) -> Bytes {
-        Bytes((payload_bytes_max(limits) + 12 * limits.vertex_count_max()) as u64)
+        let per_vertex = 3 * size_of::<u32>() + size_of::<Parents>();
+        let per_triangle = 3 * size_of::<u16>();
+        let vertices = per_vertex * limits.vertex_count_max() + size_of::<Parents>();
+        let triangles = per_triangle * limits.triangle_count_max() + 3 * size_of::<u16>();
+        Bytes((payload_bytes_max(limits) + vertices + triangles) as u64)
     }
 }
 
@@ -70,16 +80,23 @@ fn decode_parts(
     let header = Header::parse(bytes, check, lattice.is_some(), limits)?;
     let layout = header.layout();
     let stored = &bytes[BLOCK_HEADER_BYTES..];
-    let room = scratch.payload.get_mut(..header.payload_bytes);
-    let room = room.ok_or(Fault(20, "it is larger than the memory that was set aside"))?;
+    let DecodeScratch { payload: room, columns, distances, parents } = scratch;
+    let enough = room.len() >= header.payload_bytes
+        && columns.len() >= 3 * header.vertex_count
+        && distances.len() >= 3 * header.triangle_count + 3
+        && parents.len() > header.vertex_count;
+    if !enough {
+        return Err(Fault(0, "it is larger than the memory that was set aside"));
+    }
+    let room = &mut room[..header.payload_bytes];
+    let columns = &mut columns[..3 * header.vertex_count];
+    let parents = &mut parents[..=header.vertex_count];
     let payload: &[u8] = if header.codec == Codec::Raw && stored.len() == room.len() {
         stored
     } else {
         codec::decompress(header.codec, stored, room, BLOCK_HEADER_BYTES)?;
         room
     };
-    let columns = scratch.columns.get_mut(..3 * header.vertex_count);
-    let columns = columns.ok_or(Fault(10, "it is larger than the memory that was set aside"))?;
 
     // Offsets of damage in the payload are known in the stored bytes only if these are not compressed.
     let at = |start: usize| {
@@ -92,27 +109,27 @@ fn decode_parts(
     data.ids.resize(header.triangle_count, 0);
     data.materials.resize(header.triangle_count, 0);
     data.vertices_wide.resize(if header.wide { header.vertex_count } else { 0 }, [0.0; 3]);
-    data.base = match lattice {
-        None => {
-            let decoded = vertices::decode_floats(&header, &layout, payload, columns, &mut data.vertices);
-            decoded.map_err(at(0))?;
-            [0.0; 3]
-        }
-        Some(lattice) if header.wide => {
-            let (near, wide) = (&mut data.vertices, &mut data.vertices_wide);
-            vertices::decode_wide(&header, &layout, payload, lattice, near, wide).map_err(at(0))?
-        }
-        Some(lattice) => {
-            let vertices = &mut data.vertices;
-            vertices::decode_lattice(&header, &layout, payload, lattice, columns, vertices).map_err(at(0))?
-        }
+
+    let streams = Streams {
+        shapes: &payload[layout.shapes..layout.named],
+        named: &payload[layout.named..layout.far],
+        far: &payload[layout.far..layout.planes[0][0]],
     };
-    let codes = &payload[layout.codes..layout.index_escapes];
-    let escapes = &payload[layout.index_escapes..layout.ids];
-    indices::decode(codes, escapes, header.vertex_count, &mut data.triangles).map_err(at(layout.codes))?;
-    let planes = &payload[layout.ids..layout.id_escapes];
-    let escapes = &payload[layout.id_escapes..layout.materials];
-    ids::decode(header.id_base, header.id_width, planes, escapes, &mut data.ids).map_err(at(layout.ids))?;
+    shapes::decode(&streams, header.predicted, distances, &mut data.triangles, parents)
+        .map_err(at(layout.shapes))?;
+    let stored =
+        Stored { header: &header, layout: &layout, payload, parents: &parents[..header.vertex_count] };
+    data.base = match lattice {
+        None => stored.decode_floats(columns, &mut data.vertices).map(|()| [0.0; 3]),
+        Some(lattice) if header.wide => {
+            stored.decode_wide(lattice, &mut data.vertices, &mut data.vertices_wide)
+        }
+        Some(lattice) => stored.decode_lattice(lattice, columns, &mut data.vertices),
+    }
+    .map_err(at(layout.planes[0][0]))?;
+    let gaps = &payload[layout.gaps..layout.lengths];
+    let lengths = &payload[layout.lengths..layout.materials];
+    ids::decode(header.id_base, header.gap_width, gaps, lengths, &mut data.ids).map_err(at(layout.gaps))?;
     let runs = &payload[layout.materials..layout.end];
     materials::decode(runs, check.material_range, &mut data.materials).map_err(at(layout.materials))
 }

@@ -3,7 +3,10 @@
 use super::codec::{self, Codec, CodecScratch};
 use super::data::{BlockInput, BlockLimits, VertexInput};
 use super::header::{BLOCK_HEADER_BYTES, Header, payload_bytes_max};
-use super::{ids, indices, materials, vertices};
+use super::ids::Runs;
+use super::materials;
+use super::shapes::{Connectivity, Parents};
+use super::vertices::{self, Columns};
 use crate::error::EncodeError;
 use crate::geom::{Lattice, Precision};
 use crate::units::Bytes;
@@ -11,20 +14,20 @@ use crate::units::Bytes;
 /// Memory of the encoder, reused from block to block. One per thread.
 pub struct EncodeScratch {
     payload: Vec<u8>,
-    column: Vec<u32>,
-    index_escapes: Vec<u16>,
-    id_escapes: Vec<u64>,
+    connectivity: Connectivity,
+    columns: Columns,
+    runs: Runs,
     codec: CodecScratch,
 }
 
 impl EncodeScratch {
-    /// Memory for blocks inside `limits`.
+    /// Memory for blocks inside `limits`. The rest grows with the first blocks, up to [`EncodeScratch::bytes_for`].
     pub fn with_limits(limits: BlockLimits) -> EncodeScratch {
         EncodeScratch {
             payload: Vec::with_capacity(payload_bytes_max(limits)),
-            column: Vec::with_capacity(limits.vertex_count_max()),
-            index_escapes: Vec::with_capacity(3 * limits.triangle_count_max()),
-            id_escapes: Vec::with_capacity(limits.triangle_count_max()),
+            connectivity: Connectivity::default(),
+            columns: Columns::default(),
+            runs: Runs::default(),
             codec: CodecScratch::new(),
         }
     }
@@ -34,7 +37,11 @@ impl EncodeScratch {
     pub fn bytes_for(limits: BlockLimits) -> Bytes {
         let payload = payload_bytes_max(limits);
         let stored = BLOCK_HEADER_BYTES + lz4_flex::block::get_maximum_output_size(payload);
-        let scratch = 4 * limits.vertex_count_max() + (6 + 8) * limits.triangle_count_max();
+        // Vectors double as they grow, so each may hold twice what it needs.
+        let per_vertex = 2 * 3 * size_of::<u32>() + size_of::<Parents>();
+        let per_triangle = 1 + 3 + 3 * 2 + 8 + 2;
+        let scratch =
+            2 * (per_vertex * limits.vertex_count_max() + per_triangle * limits.triangle_count_max());
         Bytes((payload + stored + scratch + (16 << 10)) as u64)
     }
 }
@@ -43,8 +50,8 @@ impl EncodeScratch {
 /// blocks before do not show in the bytes. A payload that `codec` does not shorten is stored raw.
 ///
 /// # Errors
-/// [`EncodeError`] if the input is not a valid block (counts that do not match, an index out of range, ids that do not
-/// ascend, a coordinate that is not finite or outside the lattice), does not fit `limits`, or the codec is not in this
+/// [`EncodeError`] if the input is not a valid block (counts that do not match, an index out of range, vertices not in first-use order,
+/// ids that do not ascend, a coordinate that is not finite or outside the lattice), does not fit `limits`, or the codec is not in this
 /// build.
 pub fn encode(
     input: &BlockInput<'_>,
@@ -55,22 +62,24 @@ pub fn encode(
     out: &mut Vec<u8>,
 ) -> Result<(), EncodeError> {
     let wide = validate(input, precision, limits)?;
-    let EncodeScratch { payload, column, index_escapes, id_escapes, codec: codec_scratch } = scratch;
-    payload.clear();
-    index_escapes.clear();
-    id_escapes.clear();
+    let EncodeScratch { payload, connectivity, columns, runs, codec: codec_scratch } = scratch;
+    connectivity.encode(input.triangles, input.vertices.count())?;
+    if !runs.collect(input.ids) {
+        return Err(EncodeError::Invalid("its ids do not ascend"));
+    }
 
+    payload.clear();
+    payload.extend_from_slice(&connectivity.shapes);
+    payload.extend_from_slice(&connectivity.named);
+    payload.extend(connectivity.far.iter().map(|distance| *distance as u8));
+    payload.extend(connectivity.far.iter().map(|distance| (*distance >> 8) as u8));
+    let parents = &connectivity.parents;
     let encoded = match input.vertices {
-        VertexInput::Float32(floats) => vertices::encode_floats(floats, column, payload),
-        VertexInput::Lattice(coordinates) if wide => vertices::encode_wide(coordinates, payload),
-        VertexInput::Lattice(coordinates) => vertices::encode_lattice(coordinates, column, payload),
+        VertexInput::Float32(floats) => vertices::encode_floats(floats, parents, columns, payload),
+        VertexInput::Lattice(coordinates) if wide => vertices::encode_wide(coordinates, parents, payload),
+        VertexInput::Lattice(coordinates) => vertices::encode_lattice(coordinates, parents, columns, payload),
     };
-    indices::encode(input.triangles, payload, index_escapes);
-    payload.extend(index_escapes.iter().map(|index| *index as u8));
-    payload.extend(index_escapes.iter().map(|index| (*index >> 8) as u8));
-    let id_width = ids::choose_width(input.ids).ok_or(EncodeError::Invalid("its ids do not ascend"))?;
-    ids::encode(input.ids, id_width, payload, id_escapes);
-    payload.extend(id_escapes.iter().flat_map(|skipped| skipped.to_le_bytes()));
+    let gap_width = runs.put(payload);
     let material_runs = materials::encode(input.materials, payload);
 
     let mut header = Header {
@@ -78,11 +87,13 @@ pub fn encode(
         lattice: matches!(precision, Precision::Lattice(_)),
         wide,
         widths: encoded.widths,
-        id_width,
+        gap_width,
         triangle_count: input.triangles.len(),
         vertex_count: input.vertices.count(),
-        index_escapes: index_escapes.len(),
-        id_escapes: id_escapes.len(),
+        predicted: connectivity.predicted,
+        named: connectivity.named.len(),
+        far: connectivity.far.len(),
+        id_runs: runs.count(),
         material_runs,
         payload_bytes: payload.len(),
         id_base: input.ids[0],
@@ -99,7 +110,7 @@ pub fn encode(
     Ok(())
 }
 
-/// Checks the input and says whether it is wide. The order of ids is checked where their width is chosen.
+/// Checks the input and says whether it is wide. The orders of vertices and ids are checked where they are encoded.
 fn validate(input: &BlockInput<'_>, precision: Precision, limits: BlockLimits) -> Result<bool, EncodeError> {
     let require = |holds: bool, reason| if holds { Ok(()) } else { Err(EncodeError::Invalid(reason)) };
     limits.validate().map_err(EncodeError::Invalid)?;

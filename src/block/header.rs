@@ -8,7 +8,7 @@ use super::{BlockCheck, Fault};
 pub(super) const BLOCK_MAGIC: u8 = 0xB1;
 
 /// Bytes of the header.
-pub const BLOCK_HEADER_BYTES: usize = 56;
+pub const BLOCK_HEADER_BYTES: usize = 64;
 
 const FLAG_WIDE: u8 = 1;
 const FLAG_LATTICE: u8 = 2;
@@ -21,14 +21,19 @@ pub(super) struct Header {
     pub lattice: bool,
     /// Lattice offsets need more than f32.
     pub wide: bool,
-    /// Byte planes per axis.
-    pub widths: [u8; 3],
-    /// Byte planes of the id differences; 0 if the ids are consecutive.
-    pub id_width: u8,
+    /// Byte planes per axis of the vertices predicted by parallelogram, then of the others.
+    pub widths: [[u8; 3]; 2],
+    /// Byte planes of the gaps between runs of ids.
+    pub gap_width: u8,
     pub triangle_count: usize,
     pub vertex_count: usize,
-    pub index_escapes: usize,
-    pub id_escapes: usize,
+    /// Vertices predicted by parallelogram.
+    pub predicted: usize,
+    /// Corners that name a vertex by its distance.
+    pub named: usize,
+    /// Distances that take two bytes more.
+    pub far: usize,
+    pub id_runs: usize,
     pub material_runs: usize,
     pub payload_bytes: usize,
     pub id_base: u64,
@@ -36,37 +41,44 @@ pub(super) struct Header {
     pub base: [u64; 3],
 }
 
-/// Where each stream of the payload starts; the last number is where the payload ends.
+/// Where each stream of the payload starts; `end` is where the payload ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Layout {
-    pub axes: [usize; 3],
-    pub codes: usize,
-    pub index_escapes: usize,
-    pub ids: usize,
-    pub id_escapes: usize,
+    pub shapes: usize,
+    pub named: usize,
+    pub far: usize,
+    /// By kind (predicted, other) and axis.
+    pub planes: [[usize; 3]; 2],
+    pub gaps: usize,
+    pub lengths: usize,
     pub materials: usize,
     pub end: usize,
 }
 
 impl Header {
+    /// Vertices that are predicted by parallelogram (kind 0) or not (kind 1).
+    pub fn kind_count(&self, kind: usize) -> usize {
+        if kind == 0 { self.predicted } else { self.vertex_count - self.predicted }
+    }
+
     pub fn layout(&self) -> Layout {
         // All counts are at most 65,535 and all widths at most 255, so nothing here overflows.
-        let planes = self.widths.map(|width| usize::from(width) * self.vertex_count);
-        let axes = [0, planes[0], planes[0] + planes[1]];
-        let codes = axes[2] + planes[2];
-        let index_escapes = codes + 3 * self.triangle_count;
-        let ids = index_escapes + 2 * self.index_escapes;
-        let id_escapes = ids + usize::from(self.id_width) * self.triangle_count.saturating_sub(1);
-        let materials = id_escapes + 8 * self.id_escapes;
-        Layout {
-            axes,
-            codes,
-            index_escapes,
-            ids,
-            id_escapes,
-            materials,
-            end: materials + 4 * self.material_runs,
-        }
+        let mut at = 0;
+        let mut next = |bytes: usize| {
+            let start = at;
+            at += bytes;
+            start
+        };
+        let shapes = next(self.triangle_count);
+        let named = next(self.named);
+        let far = next(2 * self.far);
+        let planes = [0, 1]
+            .map(|kind| self.widths[kind].map(|width| next(usize::from(width) * self.kind_count(kind))));
+        let gaps = next(usize::from(self.gap_width) * (self.id_runs - 1));
+        let lengths = next(2 * self.id_runs);
+        let materials = next(4 * self.material_runs);
+        let end = next(0);
+        Layout { shapes, named, far, planes, gaps, lengths, materials, end }
     }
 
     /// Counts must fit 16 bits: the encoder has checked them against the limits.
@@ -75,17 +87,24 @@ impl Header {
         bytes[0] = BLOCK_MAGIC;
         bytes[1] = self.codec.id();
         bytes[2] = if self.wide { FLAG_WIDE } else { 0 } | if self.lattice { FLAG_LATTICE } else { 0 };
-        bytes[4..7].copy_from_slice(&self.widths);
-        bytes[7] = self.id_width;
-        let counts =
-            [self.triangle_count, self.vertex_count, self.index_escapes, self.id_escapes, self.material_runs];
-        for (place, count) in bytes[8..18].chunks_exact_mut(2).zip(counts) {
+        bytes[3] = self.gap_width;
+        bytes[4..10].copy_from_slice(self.widths.as_flattened());
+        let counts = [
+            self.triangle_count,
+            self.vertex_count,
+            self.predicted,
+            self.named,
+            self.far,
+            self.id_runs,
+            self.material_runs,
+        ];
+        for (place, count) in bytes[10..24].chunks_exact_mut(2).zip(counts) {
             debug_assert!(count <= usize::from(u16::MAX));
             place.copy_from_slice(&(count as u16).to_le_bytes());
         }
-        bytes[20..24].copy_from_slice(&(self.payload_bytes as u32).to_le_bytes());
-        bytes[24..32].copy_from_slice(&self.id_base.to_le_bytes());
-        for (place, base) in bytes[32..].chunks_exact_mut(8).zip(self.base) {
+        bytes[24..28].copy_from_slice(&(self.payload_bytes as u32).to_le_bytes());
+        bytes[32..40].copy_from_slice(&self.id_base.to_le_bytes());
+        for (place, base) in bytes[40..].chunks_exact_mut(8).zip(self.base) {
             place.copy_from_slice(&base.to_le_bytes());
         }
         bytes
@@ -115,69 +134,64 @@ impl Header {
         let wide = bytes[2] & FLAG_WIDE != 0;
         require((bytes[2] & FLAG_LATTICE != 0) == lattice, 2, "its precision is not that of the file")?;
         require(lattice || !wide, 2, "floats cannot be wide")?;
-        require(bytes[3] == 0, 3, "its vertex filter is unknown")?;
-        let widths = [bytes[4], bytes[5], bytes[6]];
+        let gap_width = bytes[3];
+        require(gap_width <= 8, 3, "an id is wider than it can be")?;
+        let widths = [[bytes[4], bytes[5], bytes[6]], [bytes[7], bytes[8], bytes[9]]];
         let width_max = if wide { 8 } else { 4 };
-        require(widths.iter().all(|width| *width <= width_max), 4, "a vertex is wider than it can be")?;
-        let id_width = bytes[7];
-        require(id_width <= 8, 7, "an id is wider than it can be")?;
+        let narrow = widths.as_flattened().iter().all(|width| *width <= width_max);
+        require(narrow, 4, "a vertex is wider than it can be")?;
 
-        let triangle_count = u16_at(8);
-        let vertex_count = u16_at(10);
-        require(
-            triangle_count == check.triangle_count as usize,
-            8,
-            "its triangle count is not that of the directory",
-        )?;
-        require(
-            vertex_count == check.vertex_count as usize,
-            10,
-            "its vertex count is not that of the directory",
-        )?;
-        require(triangle_count >= 1 && vertex_count >= 1, 8, "it is empty")?;
-        require(
-            limits.fits(vertex_count, triangle_count, wide),
-            8,
-            "it is larger than the block size of the file",
-        )?;
-        let (index_escapes, id_escapes, material_runs) = (u16_at(12), u16_at(14), u16_at(16));
-        require(index_escapes <= 3 * triangle_count, 12, "it has more far indices than indices")?;
-        require(id_escapes < triangle_count, 14, "it has more far ids than ids")?;
+        let (triangle_count, vertex_count) = (u16_at(10), u16_at(12));
+        let same = triangle_count == check.triangle_count as usize;
+        require(same, 10, "its triangle count is not that of the directory")?;
+        let same = vertex_count == check.vertex_count as usize;
+        require(same, 12, "its vertex count is not that of the directory")?;
+        require(triangle_count >= 1 && vertex_count >= 1, 10, "it is empty")?;
+        let fits = limits.fits(vertex_count, triangle_count, wide);
+        require(fits, 10, "it is larger than the block size of the file")?;
+        let [predicted, named, far, id_runs, material_runs] = [14, 16, 18, 20, 22].map(u16_at);
+        require(predicted < vertex_count, 14, "it predicts more vertices than it has")?;
+        require(named <= 3 * triangle_count, 16, "it names more corners than it has")?;
+        require(far <= named, 18, "it has more far corners than named corners")?;
+        require((1..=triangle_count).contains(&id_runs), 20, "its runs of ids cannot cover its triangles")?;
         require(
             (1..=triangle_count).contains(&material_runs),
-            16,
-            "its material runs cannot cover its triangles",
+            22,
+            "its runs of materials cannot cover its triangles",
         )?;
-        require(u16_at(18) == 0, 18, "a reserved byte is not zero")?;
-        let payload_bytes = u32::from_le_bytes([bytes[20], bytes[21], bytes[22], bytes[23]]) as usize;
+        let payload_bytes = u32::from_le_bytes([bytes[24], bytes[25], bytes[26], bytes[27]]) as usize;
+        require(bytes[28..32] == [0; 4], 28, "a reserved byte is not zero")?;
         let header = Header {
             codec,
             lattice,
             wide,
             widths,
-            id_width,
+            gap_width,
             triangle_count,
             vertex_count,
-            index_escapes,
-            id_escapes,
+            predicted,
+            named,
+            far,
+            id_runs,
             material_runs,
             payload_bytes,
-            id_base: u64_at(24),
-            base: [u64_at(32), u64_at(40), u64_at(48)],
+            id_base: u64_at(32),
+            base: [u64_at(40), u64_at(48), u64_at(56)],
         };
         require(
             payload_bytes == header.layout().end,
-            20,
+            24,
             "its payload length does not follow from its counts",
         )?;
         Ok(header)
     }
 }
 
-/// Longest payload of any block inside `limits`: every vertex plane, index escape, id escape and material run.
+/// Longest payload of any block inside `limits`.
 pub(super) fn payload_bytes_max(limits: BlockLimits) -> usize {
-    // Narrow planes take no more than the decoded vertices, and wide ones neither (8 * 3 = 24 bytes).
-    let per_triangle = 3 + 6 + 8 + 8 + 4;
+    // Vertex planes take no more than the decoded vertices (4 * 3 bytes, 8 * 3 if wide). A triangle has a shape, at most
+    // three named corners that are all far, a run of ids and a run of materials.
+    let per_triangle = 1 + 3 * 3 + (8 + 2) + 4;
     limits.block_bytes_max as usize + limits.triangle_count_max() * per_triangle
 }
 

@@ -14,10 +14,10 @@ mod decode;
 mod encode;
 mod header;
 mod ids;
-mod indices;
 mod lzo;
 mod materials;
 mod planes;
+mod shapes;
 #[cfg(test)]
 mod tests;
 mod vertices;

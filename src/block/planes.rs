@@ -52,23 +52,3 @@ pub(super) fn gather(planes: &[u8], width: u8, count: usize, index: usize) -> u6
 pub(super) fn width_of(value: u64) -> u8 {
     (64 - value.leading_zeros()).div_ceil(8) as u8
 }
-
-/// Small numbers of both signs to small numbers: 0, -1, 1, -2, ...
-pub(super) fn zigzag(difference: u32) -> u32 {
-    (difference << 1) ^ ((difference as i32) >> 31) as u32
-}
-
-/// Undoes [`zigzag`].
-pub(super) fn unzigzag(code: u32) -> u32 {
-    (code >> 1) ^ (code & 1).wrapping_neg()
-}
-
-/// [`zigzag`] for wide numbers.
-pub(super) fn zigzag_wide(difference: u64) -> u64 {
-    (difference << 1) ^ ((difference as i64) >> 63) as u64
-}
-
-/// Undoes [`zigzag_wide`].
-pub(super) fn unzigzag_wide(code: u64) -> u64 {
-    (code >> 1) ^ (code & 1).wrapping_neg()
-}
