@@ -1,5 +1,18 @@
 //! The lazy octree: a coarse level over the blocks, always resident, and a fine level per block, built in the block's
 //! slot when the first ray reaches it.
 
-/// TODO(octree)
-pub struct LazyOctree;
+mod build;
+mod coarse;
+mod fine;
+mod frame;
+mod lazy;
+mod node;
+mod options;
+
+pub use lazy::LazyOctree;
+pub use options::{LeafLayout, OctreeOptions, Tier};
+
+pub(crate) use build::BuildScratch;
+pub(crate) use fine::{Fine, FineLayout, TriangleLocation};
+pub(crate) use frame::{Frame, LocalRay, QueryRay};
+pub(crate) use node::{Child, Node, ROOT, STACK_MAX};

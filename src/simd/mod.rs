@@ -1,1 +1,17 @@
-//! Eight lanes: the only place for intrinsics. Chosen once at start, dispatched per call of a query, never per node.
+//! Eight lanes: the only place for intrinsics. Chosen once at start, dispatched per call of a query or per block built,
+//! never per node.
+//!
+//! A [`Simd`] value is a proof that the CPU has the instructions (as in `memchr`): it can only be had from
+//! [`dispatch`], which enters a function compiled for them. Every kernel has a scalar twin in its tests.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+mod boxes;
+mod lanes;
+mod level;
+mod triangles;
+
+pub use boxes::{BoxRay, Boxes, InverseDirection};
+pub use lanes::{LANES, Portable, Simd};
+pub use level::{Operation, SimdLevel, dispatch};
+pub use triangles::{ErrorBounds, Interval, Packet, TriangleRay};

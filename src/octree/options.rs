@@ -1,0 +1,54 @@
+//! What a caller can choose when an octree is opened.
+
+use crate::simd::SimdLevel;
+
+/// How sure a hit is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Tier {
+    /// Decided in f32 right in the kernel: no guarantee near edges, at grazing angles or far from the origin, and
+    /// results may differ between instruction sets.
+    Fast,
+    /// f32 only rejects, with a proven bound; what is left is decided in f64 and, where that is not enough, exactly (I2, I3).
+    #[default]
+    Certified,
+}
+
+/// How the leaves of a block's fine tree hold triangles in the slot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum LeafLayout {
+    /// `Expanded` if at least a quarter of the blocks fit the budget with it, else `Indexed`.
+    #[default]
+    Auto,
+    /// Nine f32 per triangle in rows of eight lanes: fastest, about 190 KiB for a full block of 64 KiB.
+    Expanded,
+    /// Three u16 per triangle into the block's vertices: about 15 to 25 % slower rays, about 40 % of the memory.
+    Indexed,
+}
+
+/// How an octree is opened. `..Default::default()` gives one tracer with certified hits and the best instructions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OctreeOptions {
+    /// How many tracers may live at once; each needs its own scratch and at least one slot.
+    pub tracers_max: u32,
+    /// Layout of leaves.
+    pub leaf_layout: LeafLayout,
+    /// Instructions to use; `None` for the best that the CPU has.
+    pub simd: Option<SimdLevel>,
+    /// How sure hits are.
+    pub tier: Tier,
+    /// Most cache slots to make, to leave memory to others or to measure small caches. `None`: as many as the budget
+    /// holds, never more than there are blocks. Used by [`LazyOctree::open`](super::LazyOctree::open) only.
+    pub slots_max: Option<u32>,
+}
+
+impl Default for OctreeOptions {
+    fn default() -> OctreeOptions {
+        OctreeOptions {
+            tracers_max: 1,
+            leaf_layout: LeafLayout::Auto,
+            simd: None,
+            tier: Tier::Certified,
+            slots_max: None,
+        }
+    }
+}

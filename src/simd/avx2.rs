@@ -1,0 +1,142 @@
+//! AVX2 and FMA.
+
+use std::arch::x86_64::*;
+
+use super::lanes::{LANES, Simd};
+use super::level::Operation;
+
+/// Exists only where the CPU has AVX2 and FMA, and is used only inside [`Avx2::enter`].
+#[derive(Clone, Copy, Debug)]
+pub struct Avx2 {
+    // Private: `detect` is the only way to make one.
+    _proof: (),
+}
+
+impl Avx2 {
+    /// The token, if this CPU has the instructions. Cheap: the standard library remembers the answer.
+    #[inline]
+    pub fn detect() -> Option<Avx2> {
+        (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Avx2 { _proof: () })
+    }
+
+    /// Runs `operation` in a function compiled for AVX2 and FMA.
+    #[inline]
+    pub(super) fn enter<O: Operation>(self, operation: O) -> O::Output {
+        #[target_feature(enable = "avx2,fma")]
+        fn inside<O: Operation>(token: Avx2, operation: O) -> O::Output {
+            operation.run(token)
+        }
+        // SAFETY: a token exists only if `detect` found both features.
+        unsafe { inside(self, operation) }
+    }
+}
+
+/// Calls an intrinsic that touches no memory.
+macro_rules! pure {
+    ($call:expr) => {
+        // SAFETY: `self` exists only if the CPU has AVX2 and FMA; the intrinsic only computes.
+        unsafe { $call }
+    };
+}
+
+impl Simd for Avx2 {
+    type F = __m256;
+    type M = __m256;
+
+    #[inline(always)]
+    fn splat(self, x: f32) -> __m256 {
+        pure!(_mm256_set1_ps(x))
+    }
+    #[inline(always)]
+    fn load(self, x: &[f32; LANES]) -> __m256 {
+        // SAFETY: as for `pure`; `x` is valid for reading eight f32 and the load may be unaligned.
+        unsafe { _mm256_loadu_ps(x.as_ptr()) }
+    }
+    #[inline(always)]
+    fn load_at(self, x: &[f32], offset: usize) -> __m256 {
+        assert!(x.len() >= LANES && offset <= x.len() - LANES);
+        // SAFETY: as for `pure`; the assertion puts all eight f32 inside `x`, and the load may be unaligned.
+        unsafe { _mm256_loadu_ps(x.as_ptr().add(offset)) }
+    }
+    #[inline(always)]
+    fn load_bytes(self, x: &[u8; LANES]) -> __m256 {
+        let packed = i64::from_le_bytes(*x);
+        pure!(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128(packed))))
+    }
+    #[inline(always)]
+    fn to_array(self, x: __m256) -> [f32; LANES] {
+        let mut lanes = [0.0; LANES];
+        // SAFETY: as for `pure`; `lanes` is valid for writing eight f32 and the store may be unaligned.
+        unsafe { _mm256_storeu_ps(lanes.as_mut_ptr(), x) }
+        lanes
+    }
+    #[inline(always)]
+    fn swap_halves(self, x: __m256) -> __m256 {
+        pure!(_mm256_permute2f128_ps::<1>(x, x))
+    }
+    #[inline(always)]
+    fn add(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_add_ps(a, b))
+    }
+    #[inline(always)]
+    fn sub(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_sub_ps(a, b))
+    }
+    #[inline(always)]
+    fn mul(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_mul_ps(a, b))
+    }
+    #[inline(always)]
+    fn mul_add(self, a: __m256, b: __m256, c: __m256) -> __m256 {
+        pure!(_mm256_fmadd_ps(a, b, c))
+    }
+    #[inline(always)]
+    fn mul_sub(self, a: __m256, b: __m256, c: __m256) -> __m256 {
+        pure!(_mm256_fmsub_ps(a, b, c))
+    }
+    #[inline(always)]
+    fn div(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_div_ps(a, b))
+    }
+    #[inline(always)]
+    fn min(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_min_ps(a, b))
+    }
+    #[inline(always)]
+    fn max(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_max_ps(a, b))
+    }
+    #[inline(always)]
+    fn abs(self, a: __m256) -> __m256 {
+        pure!(_mm256_andnot_ps(_mm256_set1_ps(-0.0), a))
+    }
+    #[inline(always)]
+    fn flip_sign(self, a: __m256, sign: __m256) -> __m256 {
+        pure!(_mm256_xor_ps(a, _mm256_and_ps(sign, _mm256_set1_ps(-0.0))))
+    }
+    #[inline(always)]
+    fn lt(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_cmp_ps::<_CMP_LT_OQ>(a, b))
+    }
+    #[inline(always)]
+    fn le(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_cmp_ps::<_CMP_LE_OQ>(a, b))
+    }
+    #[inline(always)]
+    fn and(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_and_ps(a, b))
+    }
+    #[inline(always)]
+    fn or(self, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_or_ps(a, b))
+    }
+    #[inline(always)]
+    fn bits(self, m: __m256) -> u32 {
+        pure!(_mm256_movemask_ps(m)) as u32
+    }
+    #[inline(always)]
+    fn prefetch<T>(self, x: &T) {
+        // SAFETY: a prefetch has no effect on memory and `x` is a valid address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(x).cast()) }
+    }
+}

@@ -1,0 +1,164 @@
+//! The operations that kernels are written in, and the version of them that any CPU has.
+
+/// Lanes of a vector.
+pub const LANES: usize = 8;
+
+/// Eight f32 lanes. Implementors are tokens of no size that exist only where the CPU has the instructions.
+///
+/// Kernels may not rely on whether `mul_add` rounds once or twice; bounds count it as two roundings.
+pub trait Simd: Copy {
+    /// Eight f32.
+    type F: Copy;
+    /// Eight truth values.
+    type M: Copy;
+
+    /// The same number in every lane.
+    fn splat(self, x: f32) -> Self::F;
+    /// Lane `i` is `x[i]`.
+    fn load(self, x: &[f32; LANES]) -> Self::F;
+    /// Eight numbers from `x[offset]` on.
+    ///
+    /// # Panics
+    /// If they do not lie inside `x`.
+    fn load_at(self, x: &[f32], offset: usize) -> Self::F;
+    /// Lane `i` is the number that `x[i]` stands for; exact.
+    fn load_bytes(self, x: &[u8; LANES]) -> Self::F;
+    /// The lanes as an array.
+    fn to_array(self, x: Self::F) -> [f32; LANES];
+    /// The low four lanes and the high four lanes exchanged.
+    fn swap_halves(self, x: Self::F) -> Self::F;
+    /// `a + b`.
+    fn add(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `a - b`.
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `a * b`.
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `a * b + c`, rounded once or twice.
+    fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
+    /// `a * b - c`, rounded once or twice.
+    fn mul_sub(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
+    /// `a / b`.
+    fn div(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `if a < b { a } else { b }`: `b` if either is NaN.
+    fn min(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `if a > b { a } else { b }`: `b` if either is NaN.
+    fn max(self, a: Self::F, b: Self::F) -> Self::F;
+    /// Magnitude.
+    fn abs(self, a: Self::F) -> Self::F;
+    /// `a`, negated where the sign bit of `sign` is set.
+    fn flip_sign(self, a: Self::F, sign: Self::F) -> Self::F;
+    /// `a < b`; false for NaN.
+    fn lt(self, a: Self::F, b: Self::F) -> Self::M;
+    /// `a <= b`; false for NaN.
+    fn le(self, a: Self::F, b: Self::F) -> Self::M;
+    /// Both.
+    fn and(self, a: Self::M, b: Self::M) -> Self::M;
+    /// Either.
+    fn or(self, a: Self::M, b: Self::M) -> Self::M;
+    /// Lane `i` as bit `i`.
+    fn bits(self, m: Self::M) -> u32;
+    /// A hint that the cache line at `x` will be read soon.
+    fn prefetch<T>(self, x: &T);
+}
+
+/// Plain arrays, which the compiler turns into whatever vectors the target has. Exists on every CPU.
+#[derive(Clone, Copy, Debug)]
+pub struct Portable;
+
+#[inline(always)]
+fn zip<T: Copy, U: Copy, R>(a: [T; LANES], b: [U; LANES], f: impl Fn(T, U) -> R) -> [R; LANES] {
+    std::array::from_fn(|i| f(a[i], b[i]))
+}
+
+impl Simd for Portable {
+    type F = [f32; LANES];
+    type M = [bool; LANES];
+
+    #[inline(always)]
+    fn splat(self, x: f32) -> Self::F {
+        [x; LANES]
+    }
+    #[inline(always)]
+    fn load(self, x: &[f32; LANES]) -> Self::F {
+        *x
+    }
+    #[inline(always)]
+    fn load_at(self, x: &[f32], offset: usize) -> Self::F {
+        let x = &x[offset..offset + LANES];
+        std::array::from_fn(|i| x[i])
+    }
+    #[inline(always)]
+    fn load_bytes(self, x: &[u8; LANES]) -> Self::F {
+        x.map(f32::from)
+    }
+    #[inline(always)]
+    fn to_array(self, x: Self::F) -> [f32; LANES] {
+        x
+    }
+    #[inline(always)]
+    fn swap_halves(self, x: Self::F) -> Self::F {
+        [x[4], x[5], x[6], x[7], x[0], x[1], x[2], x[3]]
+    }
+    #[inline(always)]
+    fn add(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
+        self.add(self.mul(a, b), c)
+    }
+    #[inline(always)]
+    fn mul_sub(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
+        self.sub(self.mul(a, b), c)
+    }
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| a / b)
+    }
+    #[inline(always)]
+    fn min(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| if a < b { a } else { b })
+    }
+    #[inline(always)]
+    fn max(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| if a > b { a } else { b })
+    }
+    #[inline(always)]
+    fn abs(self, a: Self::F) -> Self::F {
+        a.map(f32::abs)
+    }
+    #[inline(always)]
+    fn flip_sign(self, a: Self::F, sign: Self::F) -> Self::F {
+        zip(a, sign, |a, s| f32::from_bits(a.to_bits() ^ (s.to_bits() & 0x8000_0000)))
+    }
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> Self::M {
+        zip(a, b, |a, b| a < b)
+    }
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> Self::M {
+        zip(a, b, |a, b| a <= b)
+    }
+    #[inline(always)]
+    fn and(self, a: Self::M, b: Self::M) -> Self::M {
+        zip(a, b, |a, b| a & b)
+    }
+    #[inline(always)]
+    fn or(self, a: Self::M, b: Self::M) -> Self::M {
+        zip(a, b, |a, b| a | b)
+    }
+    #[inline(always)]
+    fn bits(self, m: Self::M) -> u32 {
+        m.iter().enumerate().fold(0, |bits, (i, lane)| bits | u32::from(*lane) << i)
+    }
+    #[inline(always)]
+    fn prefetch<T>(self, _: &T) {}
+}

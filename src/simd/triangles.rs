@@ -1,0 +1,271 @@
+//! One ray against eight triangles: a test that may only reject.
+//!
+//! Moeller and Trumbore's test (1997) in f32 on vertices relative to a rounded origin, with a bound on every rounding.
+//! A lane is rejected only if the exact test on exact inputs would reject it too (I3); what is left goes to the f64
+//! decision. With `u = 2^-24`, `D` the sum of the direction's magnitudes, `M` a bound on the magnitude of a vertex
+//! relative to the origin, `S` a bound on the magnitude of an edge, `d` the rounding of the origin and `v` that of a
+//! vertex (0 where f32 vertices are exact), per axis, the operation counts are:
+//!
+//! | quantity | magnitude | roundings on the longest path |
+//! |---|---|---|
+//! | `U = (o - a) . (dir x e2)`, `V = dir . ((o - a) x e1)` | `2 D M S` | 1 + 1 + 1 (inputs) + 2 (cross) + 3 (dot) = 8 |
+//! | `det = e1 . (dir x e2)` | `2 D S S` | 8 |
+//! | `T = e2 . ((o - a) x e1)` | `6 M S S` | 8 |
+//!
+//! `d` adds `2 D S d` to `U` and `V` and `6 S S d` to `T`; `v` enters `o - a` like `d` and each edge twice. The counts
+//! below are 11, which also covers adding `U` to `V`, the rounding of the bounds themselves and second-order terms.
+
+use super::lanes::{LANES, Simd};
+
+/// 11 roundings of f32.
+const ROUNDINGS: f32 = 11.0 / (1u32 << 24) as f32;
+
+/// Eight triangles by vertex and axis.
+#[derive(Clone, Copy)]
+pub struct Packet<S: Simd> {
+    a: [S::F; 3],
+    b: [S::F; 3],
+    c: [S::F; 3],
+}
+
+impl<S: Simd> Packet<S> {
+    /// From nine rows (`a.x, a.y, a.z, b.x, ...`) of `stride` numbers each: lane `i` is triangle `first + i`. Lanes
+    /// past the end of a row hold the start of the next one: mask them.
+    ///
+    /// # Panics
+    /// If `rows` is shorter than `8 * stride + first + 8`.
+    #[inline(always)]
+    pub fn from_rows(simd: S, rows: &[f32], stride: usize, first: usize) -> Packet<S> {
+        // One check for nine loads: the last row reaches furthest.
+        let rows = &rows[..8 * stride + first + LANES];
+        let row = |r: usize| simd.load_at(rows, r * stride + first);
+        Packet {
+            a: [row(0), row(1), row(2)],
+            b: [row(3), row(4), row(5)],
+            c: [row(6), row(7), row(8)],
+        }
+    }
+
+    /// From vertex indices: lane `i` is triangle `i`; lanes from `triangles.len()` on repeat the first.
+    ///
+    /// # Panics
+    /// If `triangles` is empty or an index is not below `vertices.len()`.
+    #[inline(always)]
+    pub fn from_indices(simd: S, vertices: &[[f32; 3]], triangles: &[[u16; 3]]) -> Packet<S> {
+        let mut lanes = [[[0.0f32; LANES]; 3]; 3];
+        for lane in 0..LANES {
+            let triangle = triangles[if lane < triangles.len() { lane } else { 0 }];
+            for corner in 0..3 {
+                let vertex = vertices[usize::from(triangle[corner])];
+                for axis in 0..3 {
+                    lanes[corner][axis][lane] = vertex[axis];
+                }
+            }
+        }
+        let [a, b, c] = lanes.map(|corner| corner.map(|row| simd.load(&row)));
+        Packet { a, b, c }
+    }
+
+    /// The magnitude of the longest edge component of each lane.
+    #[inline(always)]
+    pub fn edges(&self, simd: S) -> S::F {
+        let mut longest = simd.splat(0.0);
+        for axis in 0..3 {
+            let (a, b, c) = (self.a[axis], self.b[axis], self.c[axis]);
+            longest = simd.max(simd.abs(simd.sub(b, a)), longest);
+            longest = simd.max(simd.abs(simd.sub(c, a)), longest);
+        }
+        longest
+    }
+}
+
+/// A ray ready for triangle tests.
+#[derive(Clone, Copy)]
+pub struct TriangleRay<S: Simd> {
+    /// Origin, rounded.
+    pub origin: [S::F; 3],
+    /// Direction, rounded; largest magnitude 1 to 2.
+    pub direction: [S::F; 3],
+    /// Proven bounds for this ray in this block.
+    pub bounds: ErrorBounds,
+}
+
+/// What the reject test must allow for; independent of the packet but for its longest edge.
+#[derive(Clone, Copy, Debug)]
+pub struct ErrorBounds {
+    /// Error of `U` and `V` is at most `uv_edge * S + constant`.
+    uv_edge: f32,
+    uv_constant: f32,
+    /// Error of `det` is at most `S * (det_edge * S + det_constant) + tiny`.
+    det_edge: f32,
+    det_constant: f32,
+    /// Error of `T` is at most `S * (t_edge * S + t_constant) + tiny`.
+    t_edge: f32,
+    t_constant: f32,
+    tiny: f32,
+}
+
+impl ErrorBounds {
+    /// For a direction with sum of magnitudes `direction_sum`, vertices at most `reach` away from the rounded origin
+    /// per axis, an origin rounded by at most `origin_error` and vertices by at most `vertex_error` per axis.
+    #[inline(always)]
+    pub fn new(direction_sum: f32, reach: f32, origin_error: f32, vertex_error: f32) -> ErrorBounds {
+        // Second-order terms and the roundings of these lines.
+        const SLACK: f32 = 1.01;
+        let d = SLACK * 2.0 * direction_sum;
+        let shift = ROUNDINGS * reach + origin_error + vertex_error;
+        // Subnormal products lose 2^-149 each, later multiplied by at most `reach` twice.
+        let tiny = (1.0 + reach) * (1.0 + reach) * 1e-36;
+        ErrorBounds {
+            uv_edge: d * shift,
+            uv_constant: d * reach * (2.0 * vertex_error) + tiny,
+            det_edge: d * ROUNDINGS,
+            det_constant: d * 4.0 * vertex_error,
+            t_edge: SLACK * 6.0 * shift,
+            t_constant: SLACK * 24.0 * reach * vertex_error,
+            tiny,
+        }
+    }
+}
+
+/// The part of a ray that matters, rounded in both directions.
+#[derive(Clone, Copy)]
+pub struct Interval<F: Copy> {
+    /// At most the least `t` that can still matter, by a factor of `1 - 2^-20` or more.
+    pub low: F,
+    /// At least the largest `t` that can still matter, by a factor of `1 + 2^-20` or more.
+    pub high: F,
+}
+
+/// U, V, T and det of eight triangles, with the sign of det taken out.
+struct Weights<F> {
+    u: F,
+    v: F,
+    t: F,
+    det: F,
+}
+
+impl<S: Simd> TriangleRay<S> {
+    #[inline(always)]
+    fn weights(&self, simd: S, packet: &Packet<S>) -> Weights<S::F> {
+        let sub = |p: [S::F; 3], q: [S::F; 3]| -> [S::F; 3] {
+            [simd.sub(p[0], q[0]), simd.sub(p[1], q[1]), simd.sub(p[2], q[2])]
+        };
+        let cross = |p: [S::F; 3], q: [S::F; 3]| -> [S::F; 3] {
+            [
+                simd.mul_sub(p[1], q[2], simd.mul(p[2], q[1])),
+                simd.mul_sub(p[2], q[0], simd.mul(p[0], q[2])),
+                simd.mul_sub(p[0], q[1], simd.mul(p[1], q[0])),
+            ]
+        };
+        let dot = |p: [S::F; 3], q: [S::F; 3]| -> S::F {
+            simd.mul_add(p[0], q[0], simd.mul_add(p[1], q[1], simd.mul(p[2], q[2])))
+        };
+        let e1 = sub(packet.b, packet.a);
+        let e2 = sub(packet.c, packet.a);
+        let to_origin = sub(self.origin, packet.a);
+        let p = cross(self.direction, e2);
+        let q = cross(to_origin, e1);
+        let det = dot(e1, p);
+        Weights {
+            u: simd.flip_sign(dot(to_origin, p), det),
+            v: simd.flip_sign(dot(self.direction, q), det),
+            t: simd.flip_sign(dot(e2, q), det),
+            det: simd.abs(det),
+        }
+    }
+
+    /// Bit `i` is clear only if the ray certainly misses triangle `i` within `interval`. `edge` bounds the magnitude
+    /// of the packet's edge components.
+    #[inline(always)]
+    pub fn survivors(
+        &self,
+        simd: S,
+        packet: &Packet<S>,
+        edge: f32,
+        interval: &Interval<S::F>,
+    ) -> u32 {
+        self.classify::<false>(simd, packet, edge, interval, interval).0
+    }
+
+    /// [`TriangleRay::survivors`], and the lanes that certainly are hit inside `inner`, whose `low` is at least the
+    /// true beginning and whose `high` is at most the true end.
+    #[inline(always)]
+    pub fn survivors_and_certain(
+        &self,
+        simd: S,
+        packet: &Packet<S>,
+        edge: f32,
+        interval: &Interval<S::F>,
+        inner: &Interval<S::F>,
+    ) -> (u32, u32) {
+        self.classify::<true>(simd, packet, edge, interval, inner)
+    }
+
+    #[inline(always)]
+    fn classify<const CERTAIN: bool>(
+        &self,
+        simd: S,
+        packet: &Packet<S>,
+        edge: f32,
+        interval: &Interval<S::F>,
+        inner: &Interval<S::F>,
+    ) -> (u32, u32) {
+        let Weights { u, v, t, det } = self.weights(simd, packet);
+        let bounds = &self.bounds;
+        let det_error = edge * (bounds.det_edge * edge + bounds.det_constant) + bounds.tiny;
+        // Where the sign of det is not certain, the exact U and V are within det_error of 0 on either side of the
+        // computed sign: two more det_error admit them without a separate case.
+        let uv_error = bounds.uv_edge * edge + bounds.uv_constant + 2.0 * det_error;
+        let sum_error = 2.0 * uv_error + det_error;
+        let t_error = edge * (bounds.t_edge * edge + bounds.t_constant) + bounds.tiny;
+
+        let (det_error, t_error) = (simd.splat(det_error), simd.splat(t_error));
+        let outside = simd.splat(-uv_error);
+        let uv = simd.add(u, v);
+        // Every comparison is true for a lane to reject, so NaN (from overflow) keeps the lane.
+        let mut reject = simd.or(simd.lt(u, outside), simd.lt(v, outside));
+        reject = simd.or(reject, simd.lt(simd.add(det, simd.splat(sum_error)), uv));
+        let det_high = simd.add(det, det_error);
+        reject = simd.or(reject, simd.lt(simd.mul_add(interval.high, det_high, t_error), t));
+        // Before the beginning: only where the sign of det, and so of T, is certain.
+        let det_low = simd.sub(det, det_error);
+        let before = simd.lt(simd.add(t, t_error), simd.mul(interval.low, det_low));
+        reject = simd.or(reject, simd.and(before, simd.lt(det_error, det)));
+        let survivors = !simd.bits(reject) & 0xff;
+
+        if !CERTAIN || survivors == 0 {
+            return (survivors, 0);
+        }
+        let inside = simd.splat(uv_error);
+        let mut certain = simd.and(simd.lt(inside, u), simd.lt(inside, v));
+        certain = simd.and(certain, simd.lt(simd.add(uv, simd.splat(sum_error)), det));
+        let begin = simd.mul_add(inner.low, det_high, t_error);
+        let end = simd.sub(simd.mul(inner.high, det_low), t_error);
+        certain = simd.and(certain, simd.and(simd.lt(begin, t), simd.lt(t, end)));
+        certain = simd.and(certain, simd.lt(simd.add(det_error, det_error), det));
+        (survivors, simd.bits(certain))
+    }
+
+    /// The f32 decision without bounds: which lanes are hit, and `t`, `u`, `v` of each (meaningful where hit).
+    #[inline(always)]
+    pub fn decide(
+        &self,
+        simd: S,
+        packet: &Packet<S>,
+        interval: &Interval<S::F>,
+    ) -> (u32, [S::F; 3]) {
+        let Weights { u, v, t, det } = self.weights(simd, packet);
+        let zero = simd.splat(0.0);
+        let mut hit = simd.and(simd.le(zero, u), simd.le(zero, v));
+        hit = simd.and(hit, simd.and(simd.le(simd.add(u, v), det), simd.lt(zero, det)));
+        hit = simd.and(hit, simd.le(simd.mul(interval.low, det), t));
+        hit = simd.and(hit, simd.le(t, simd.mul(interval.high, det)));
+        let hits = simd.bits(hit);
+        if hits == 0 {
+            return (0, [zero; 3]);
+        }
+        let inverse = simd.div(simd.splat(1.0), det);
+        (hits, [simd.mul(t, inverse), simd.mul(u, inverse), simd.mul(v, inverse)])
+    }
+}
