@@ -152,12 +152,18 @@ impl QueryRay {
         t * self.t_factors[0] * self.t_factors[1] - self.t_start
     }
 
+    /// The parameter of a local one, rounded.
+    #[inline(always)]
+    pub fn from_local(&self, local: f32) -> f64 {
+        (f64::from(local) + self.t_start) / self.t_factors[1] / self.t_factors[0]
+    }
+
     /// At least the local parameter of `t`, by a factor of `1 + 2^-20` or more, and at least 0.
     #[inline(always)]
     pub fn local_high(&self, t: f64) -> f32 {
         let local = self.to_local(t) + (self.t_start.abs() * MARGIN_F64);
-        // The comparison keeps NaN (infinity minus infinity) out.
-        if local < f64::INFINITY {
+        // Hits beyond the range of f64 all have t = f64::MAX. The comparison keeps NaN (infinity minus infinity) out.
+        if t < f64::MAX && local < f64::INFINITY {
             round_up_f32(local.max(0.0) * (1.0 + MARGIN)).max(f32::MIN_POSITIVE)
         } else {
             f32::INFINITY
@@ -180,7 +186,8 @@ impl QueryRay {
     #[inline(always)]
     pub fn local_inner(&self, t_min: f64, t_max: f64) -> (f32, f32) {
         let high = self.to_local(t_max) - (self.t_start.abs() * MARGIN_F64);
-        let high = if high > 0.0 { round_down_f32((high * (1.0 - MARGIN)).min(f64::from(f32::MAX))) } else { -1.0 };
+        let high =
+            if high > 0.0 { round_down_f32((high * (1.0 - MARGIN)).min(f64::from(f32::MAX))) } else { -1.0 };
         (self.local_high(t_min), high)
     }
 }
@@ -256,9 +263,14 @@ fn local_origin(query: &QueryRay, frame: &Frame) -> ([f32; 3], [f32; 3], [f32; 3
         let rounding = if frame.base[axis] == 0.0 { 0.0 } else { f64::EPSILON * difference.abs() };
         let (local, slack) =
             (difference * frame.scale, (query.origin_error[axis] + rounding) * frame.scale * (1.0 + 1e-9));
-        low[axis] = round_down_f32(local - slack).max(f32::MIN);
-        high[axis] = round_up_f32(local + slack).min(f32::MAX);
-        origin[axis] = (local as f32).clamp(low[axis], high[axis]);
+        low[axis] = round_down_f32(local - slack);
+        high[axis] = round_up_f32(local + slack);
+        if !(low[axis] >= f32::MIN && high[axis] <= f32::MAX) {
+            // A ray that starts outside the range of f32 and does not approach: every box passes on this axis but
+            // the empty ones, whose infinite corners must not meet an infinite origin.
+            (low[axis], high[axis]) = (f32::MIN, f32::MAX);
+        }
+        origin[axis] = (local as f32).clamp(f32::MIN, f32::MAX);
         error = error.max(1.000_001 * (high[axis] - low[axis]));
     }
     (low, high, origin, error)

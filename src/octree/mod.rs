@@ -3,6 +3,7 @@
 
 mod build;
 mod coarse;
+mod fill;
 mod fine;
 mod frame;
 mod lazy;
@@ -13,6 +14,8 @@ pub use lazy::LazyOctree;
 pub use options::{LeafLayout, OctreeOptions, Tier};
 
 pub(crate) use build::BuildScratch;
-pub(crate) use fine::{Fine, FineLayout, TriangleLocation};
-pub(crate) use frame::{Frame, LocalRay, QueryRay};
+pub(crate) use fill::build;
+pub(crate) use fine::{Fine, TriangleLocation};
+pub(crate) use frame::{LocalRay, QueryRay, splat_interval};
+pub(crate) use lazy::{TracerPermit, tracer_bytes};
 pub(crate) use node::{Child, Node, ROOT, STACK_MAX};

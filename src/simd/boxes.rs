@@ -75,7 +75,8 @@ impl<S: Simd> BoxRay<S> {
             let low = simd.splat(origin_low[axis] - inverse.widen[axis]);
             let high = simd.splat(origin_high[axis] + inverse.widen[axis]);
             let negative = inverse.negative[axis];
-            (self.near_origin[axis], self.far_origin[axis]) = if negative { (low, high) } else { (high, low) };
+            (self.near_origin[axis], self.far_origin[axis]) =
+                if negative { (low, high) } else { (high, low) };
             self.near_row[axis] = if negative { axis + 3 } else { axis };
             self.far_row[axis] = if negative { axis } else { axis + 3 };
         }
@@ -87,13 +88,23 @@ impl<S: Simd> BoxRay<S> {
     /// `t_min ..= t_max`.
     #[inline(always)]
     pub fn test(&self, simd: S, boxes: &Boxes, t_min: S::F, t_max: S::F) -> (S::F, u32) {
+        // SAFETY: `test_rows` asks for rows 0 ..= 5 only.
+        self.test_rows(simd, |row| simd.load(unsafe { boxes.get_unchecked(row) }), t_min, t_max)
+    }
+
+    /// [`BoxRay::test`] for packed boxes, except for the lanes that hold no box.
+    #[inline(always)]
+    pub fn test_packed(&self, simd: S, boxes: &PackedBoxes, t_min: S::F, t_max: S::F) -> (S::F, u32) {
+        let (near, hits) = self.test_rows(simd, |row| boxes.row(simd, row), t_min, t_max);
+        (near, hits & boxes.used)
+    }
+
+    #[inline(always)]
+    fn test_rows(&self, simd: S, load: impl Fn(usize) -> S::F, t_min: S::F, t_max: S::F) -> (S::F, u32) {
         let (mut near, mut far) = (t_min, t_max);
         for axis in 0..3 {
-            // SAFETY: `set_origin` puts only 0 ..= 5 into the rows, and nothing else writes them.
-            let (near_plane, far_plane) = unsafe {
-                (boxes.get_unchecked(self.near_row[axis]), boxes.get_unchecked(self.far_row[axis]))
-            };
-            let (near_plane, far_plane) = (simd.load(near_plane), simd.load(far_plane));
+            // `set_origin` puts only 0 ..= 5 into the rows, and nothing else writes them.
+            let (near_plane, far_plane) = (load(self.near_row[axis]), load(self.far_row[axis]));
             let entry = simd.mul(simd.sub(near_plane, self.near_origin[axis]), self.near_inverse[axis]);
             let exit = simd.mul(simd.sub(far_plane, self.far_origin[axis]), self.far_inverse[axis]);
             // 0 * inf, a ray inside a slab's border plane, is NaN: `max` and `min` then keep their second operand.
@@ -101,6 +112,60 @@ impl<S: Simd> BoxRay<S> {
             far = simd.min(exit, far);
         }
         (near, simd.bits(simd.le(near, far)))
+    }
+}
+
+/// Up to eight boxes on a grid of 256 cells per axis, in 128 bytes, unpacked while they are tested. Rounded outward.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub struct PackedBoxes {
+    /// First and last cell per axis, in the order of [`Boxes`].
+    cells: [[u8; LANES]; 6],
+    /// Side of cell 0 for each row, low rows moved down and high rows up by more than the rounding of unpacking.
+    base: [f32; 6],
+    step: [f32; 6],
+    /// Bit `i`: lane `i` holds a box.
+    used: u32,
+}
+
+impl PackedBoxes {
+    /// `cells` are boxes by first and last cell (both included) on the grid over `low ..= high`; one with first above
+    /// last is not a box. If none is, the whole grid is the only box. Results hold for grids whose sides were computed
+    /// with a relative error of at most `2^-22` of the larger corner's magnitude.
+    pub fn new(low: [f32; 3], high: [f32; 3], cells: &[[u8; 6]; LANES]) -> PackedBoxes {
+        let mut packed = PackedBoxes { cells: [[0; LANES]; 6], base: [0.0; 6], step: [0.0; 6], used: 0 };
+        for (lane, cell) in cells.iter().enumerate() {
+            if (0..3).all(|axis| cell[axis] <= cell[axis + 3]) {
+                packed.used |= 1 << lane;
+                for row in 0..6 {
+                    packed.cells[row][lane] = cell[row];
+                }
+            }
+        }
+        if packed.used == 0 {
+            packed.used = 1;
+            for row in 3..6 {
+                packed.cells[row][0] = 255;
+            }
+        }
+        for axis in 0..3 {
+            let step = (high[axis] - low[axis]) * (1.0 / 256.0);
+            // Step, product and sum round by at most 2^-24 of the extent (at most twice the magnitude), of the
+            // extent and of the magnitude; the grid itself by 2^-22 of the magnitude.
+            let slack =
+                low[axis].abs().max(high[axis].abs()) * (1.0 / (1u32 << 20) as f32) + f32::MIN_POSITIVE;
+            packed.base[axis] = low[axis] - slack;
+            packed.base[axis + 3] = low[axis] + step + slack;
+            packed.step[axis] = step;
+            packed.step[axis + 3] = step;
+        }
+        packed
+    }
+
+    #[inline(always)]
+    fn row<S: Simd>(&self, simd: S, row: usize) -> S::F {
+        let cells = simd.load_bytes(&self.cells[row]);
+        simd.mul_add(cells, simd.splat(self.step[row]), simd.splat(self.base[row]))
     }
 }
 

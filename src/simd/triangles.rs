@@ -39,11 +39,7 @@ impl<S: Simd> Packet<S> {
         // One check for nine loads: the last row reaches furthest.
         let rows = &rows[..8 * stride + first + LANES];
         let row = |r: usize| simd.load_at(rows, r * stride + first);
-        Packet {
-            a: [row(0), row(1), row(2)],
-            b: [row(3), row(4), row(5)],
-            c: [row(6), row(7), row(8)],
-        }
+        Packet { a: [row(0), row(1), row(2)], b: [row(3), row(4), row(5)], c: [row(6), row(7), row(8)] }
     }
 
     /// From vertex indices: lane `i` is triangle `i`; lanes from `triangles.len()` on repeat the first.
@@ -178,13 +174,7 @@ impl<S: Simd> TriangleRay<S> {
     /// Bit `i` is clear only if the ray certainly misses triangle `i` within `interval`. `edge` bounds the magnitude
     /// of the packet's edge components.
     #[inline(always)]
-    pub fn survivors(
-        &self,
-        simd: S,
-        packet: &Packet<S>,
-        edge: f32,
-        interval: &Interval<S::F>,
-    ) -> u32 {
+    pub fn survivors(&self, simd: S, packet: &Packet<S>, edge: f32, interval: &Interval<S::F>) -> u32 {
         self.classify::<false>(simd, packet, edge, interval, interval).0
     }
 
@@ -249,12 +239,7 @@ impl<S: Simd> TriangleRay<S> {
 
     /// The f32 decision without bounds: which lanes are hit, and `t`, `u`, `v` of each (meaningful where hit).
     #[inline(always)]
-    pub fn decide(
-        &self,
-        simd: S,
-        packet: &Packet<S>,
-        interval: &Interval<S::F>,
-    ) -> (u32, [S::F; 3]) {
+    pub fn decide(&self, simd: S, packet: &Packet<S>, interval: &Interval<S::F>) -> (u32, [S::F; 3]) {
         let Weights { u, v, t, det } = self.weights(simd, packet);
         let zero = simd.splat(0.0);
         let mut hit = simd.and(simd.le(zero, u), simd.le(zero, v));

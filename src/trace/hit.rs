@@ -1,5 +1,6 @@
 //! What a query answers.
 
+use crate::geom;
 use crate::units::{MaterialId, TriangleId};
 
 /// Where a ray meets a triangle.
@@ -21,43 +22,25 @@ pub struct Hit {
 
 impl Hit {
     /// The point of the hit by barycentric weights; see [`Hit::position_error`] for how far off it can be.
+    #[inline]
     pub fn position(&self) -> [f64; 3] {
-        let [a, b, c] = &self.vertices;
-        // From `a` along the edges: for equal vertices on an axis the result is exact on that axis.
-        [0, 1, 2].map(|axis| a[axis] + (self.u * (b[axis] - a[axis]) + self.v * (c[axis] - a[axis])))
+        geom::hit_position(&self.vertices, self.u, self.v)
     }
 
-    /// A bound, on each axis, on the distance between [`Hit::position`] and the plane of the triangle along that
-    /// axis' combination of vertices: the rounding of the nine operations in `position`. Offset a secondary ray's
-    /// origin by this along the normal and it starts clear of the surface.
-    ///
-    /// It bounds the distance to the exact point with weights `u` and `v`, which lies in the triangle's plane; the
-    /// weights' own rounding moves the point inside that plane only (pbrt-v4, section 6.8, in f64).
+    /// A bound, the same for each axis, on the distance between [`Hit::position`] and the point of the triangle's
+    /// plane with exactly the weights `u` and `v`: see [`geom::position_error`].
+    #[inline]
     pub fn position_error(&self) -> f64 {
-        let [a, b, c] = &self.vertices;
-        let mut error = 0.0f64;
-        for axis in 0..3 {
-            let edges = self.u.abs() * (b[axis] - a[axis]).abs() + self.v.abs() * (c[axis] - a[axis]).abs();
-            // Edge, product, sum: 3 roundings on `edges`; the last sum rounds |a| + edges once. 4 covers the rounding
-            // of this bound itself.
-            error = error.max(UNIT * (5.0 * edges + 1.5 * a[axis].abs()));
-        }
-        // Below the normal range a product loses absolute, not relative, accuracy.
-        error + f64::MIN_POSITIVE
+        geom::position_error(&self.vertices, self.u, self.v)
     }
 
     /// The geometric normal `(b - a) x (c - a)`, not normalised: its length is twice the area, its direction says
-    /// which side the vertices turn counter-clockwise on.
+    /// from which side the vertices are seen in counter-clockwise order.
+    #[inline]
     pub fn normal(&self) -> [f64; 3] {
-        let [a, b, c] = &self.vertices;
-        let e = [0, 1, 2].map(|axis| b[axis] - a[axis]);
-        let f = [0, 1, 2].map(|axis| c[axis] - a[axis]);
-        [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]]
+        geom::triangle_normal(&self.vertices)
     }
 }
-
-/// Half the distance from 1 to the next f64.
-const UNIT: f64 = f64::EPSILON * 0.5;
 
 /// Whether anything lies between a ray's ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -95,9 +78,7 @@ impl MaterialSet {
     /// Whether the set holds `material`.
     #[inline]
     pub fn contains(&self, material: MaterialId) -> bool {
-        self.words
-            .get(usize::from(material.0 / 64))
-            .is_some_and(|word| word >> (material.0 % 64) & 1 == 1)
+        self.words.get(usize::from(material.0 / 64)).is_some_and(|word| word >> (material.0 % 64) & 1 == 1)
     }
 
     /// Whether the set holds nothing.

@@ -1,1 +1,14 @@
 //! Queries: closest hit and any hit, for streams of rays.
+//!
+//! A [`Tracer`] belongs to one thread and holds all the memory that queries need; nothing is allocated while rays are
+//! traced. Rays of one call are traced in the order given, and no result depends on that order.
+
+mod any;
+mod closest;
+mod hit;
+mod load;
+mod stack;
+mod tracer;
+
+pub use hit::{Hit, MaterialSet, Occlusion};
+pub use tracer::Tracer;

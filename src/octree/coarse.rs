@@ -1,0 +1,99 @@
+//! The coarse tree: always resident, over the boxes of all blocks, with each block's sub-boxes below.
+
+use super::build::{BuildScratch, LeafSink, build_tree};
+use super::frame::Frame;
+use super::node::{Child, Node};
+use crate::budget::{MemoryBudget, Reservation};
+use crate::error::BudgetError;
+use crate::geom::Precision;
+use crate::model::Model;
+use crate::simd::{Operation, PackedBoxes, Simd, SimdLevel, dispatch};
+use crate::units::Bytes;
+
+/// A tree whose leaves are blocks.
+#[derive(Debug)]
+pub(crate) struct CoarseTree {
+    pub frame: Frame,
+    pub nodes: Vec<Node>,
+    /// By block: lets a ray pass a block by without loading it.
+    pub sub_boxes: Vec<PackedBoxes>,
+    _reservation: Reservation,
+}
+
+impl CoarseTree {
+    /// Builds the tree from the directory.
+    ///
+    /// # Errors
+    /// The tree, or the memory for building it, does not fit in the budget.
+    pub fn build(
+        model: &Model,
+        scale: f64,
+        level: SimdLevel,
+        budget: &MemoryBudget,
+    ) -> Result<CoarseTree, BudgetError> {
+        let block_count = model.blocks.len();
+        // f32 files share one base with their blocks, so that entering a block costs a ray nothing.
+        let base = match model.precision {
+            Precision::Float32 => [0.0; 3],
+            Precision::Lattice(_) => model.bounds.center(),
+        };
+        let frame = Frame { base, scale };
+        // Every node has eight children or only leaves, at least two unless it is the root: at most half as many of
+        // the latter as blocks, and a seventh of that of the former.
+        let node_count_max = 4 * block_count / 7 + 2;
+        let purpose = "building the coarse tree";
+        let building = BuildScratch::bytes(block_count, 0) + (node_count_max * size_of::<Node>()) as u64;
+        let sub_box_bytes = (block_count * size_of::<PackedBoxes>()) as u64;
+        let working = budget.reserve(Bytes(building), purpose)?;
+        let mut nodes = vec![Node::EMPTY; node_count_max];
+        let mut scratch = BuildScratch::new(block_count, 0);
+        let node_count = dispatch(level, Build { model, frame, nodes: &mut nodes, scratch: &mut scratch });
+        nodes.truncate(node_count);
+        nodes.shrink_to_fit();
+        drop((scratch, working));
+        let bytes = (node_count * size_of::<Node>()) as u64 + sub_box_bytes;
+        let reservation = budget.reserve(Bytes(bytes), "the coarse tree")?;
+        let sub_boxes = model
+            .blocks
+            .iter()
+            .map(|entry| {
+                let (low, high) = frame.box_to_local(&entry.bounds);
+                PackedBoxes::new(low, high, &entry.sub_boxes)
+            })
+            .collect();
+        Ok(CoarseTree { frame, nodes, sub_boxes, _reservation: reservation })
+    }
+}
+
+struct Build<'a> {
+    model: &'a Model,
+    frame: Frame,
+    nodes: &'a mut [Node],
+    scratch: &'a mut BuildScratch,
+}
+
+impl Operation for Build<'_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> usize {
+        let (boxes, _) = self.scratch.primitives(self.model.blocks.len());
+        for (place, entry) in boxes.iter_mut().zip(&self.model.blocks) {
+            let (low, high) = self.frame.box_to_local(&entry.bounds);
+            *place = [low[0], low[1], low[2], 0.0, -high[0], -high[1], -high[2], 0.0];
+        }
+        build_tree(simd, self.scratch, self.model.blocks.len(), self.nodes, &mut BlockSink).0
+    }
+}
+
+struct BlockSink;
+
+impl<S: Simd> LeafSink<S> for BlockSink {
+    const LEAF_MAX: usize = 1;
+
+    #[inline(always)]
+    fn leaf(&mut self, _: S, _: usize, order: &[u32]) -> (Child, f32) {
+        debug_assert_eq!(order.len(), 1);
+        (Child::block(order[0]), 0.0)
+    }
+}

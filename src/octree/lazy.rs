@@ -1,0 +1,293 @@
+//! [`LazyOctree`]: what a query needs, set up inside the budget.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use super::build::BuildScratch;
+use super::coarse::CoarseTree;
+use super::fine::FineLayout;
+use super::frame::Frame;
+use super::{LeafLayout, OctreeOptions, Tier};
+use crate::block::{BlockData, DecodeScratch};
+use crate::budget::{MemoryBudget, Reservation};
+use crate::cache::{GeometryCache, Lru, SlotCache};
+use crate::error::{BudgetError, TraceError};
+use crate::geom::Precision;
+use crate::model::Model;
+use crate::simd::SimdLevel;
+use crate::source::BlockSource;
+use crate::units::Bytes;
+
+/// An octree over a compiled model, of which only the upper part exists at first: a tree over the blocks' boxes. The
+/// part inside a block is built when a ray first reaches it, in a slot of the cache, and is forgotten with the slot.
+///
+/// Shared by all threads; each makes its own tracer with [`LazyOctree::tracer`].
+///
+/// Hits do not depend on how the model is cut into blocks, on the cache, on the layout of leaves, on the instructions
+/// used (`Tier::Certified`) or on the order of rays (I2).
+pub struct LazyOctree {
+    pub(crate) source: Arc<dyn BlockSource>,
+    pub(crate) model: Arc<Model>,
+    pub(crate) cache: Arc<dyn GeometryCache>,
+    pub(crate) coarse: CoarseTree,
+    pub(crate) layout: FineLayout,
+    pub(crate) level: SimdLevel,
+    pub(crate) tier: Tier,
+    pub(crate) budget: MemoryBudget,
+    tracers_max: u32,
+    tracer_count: AtomicU32,
+    _directory: Reservation,
+}
+
+/// One of the `tracers_max` tracers; given back on drop.
+pub(crate) struct TracerPermit<'o>(&'o AtomicU32);
+
+impl Drop for TracerPermit<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl LazyOctree {
+    /// Opens an octree with an LRU cache of as many slots as the budget still holds after the directory, the coarse
+    /// tree and the scratch of `tracers_max` tracers (never more than blocks, nor than `slots_max`). Reserve what else must fit
+    /// in the budget before.
+    ///
+    /// # Errors
+    /// [`TraceError::Budget`] if the budget cannot hold one slot for each tracer.
+    pub fn open(
+        source: Arc<dyn BlockSource>,
+        budget: &MemoryBudget,
+        options: OctreeOptions,
+    ) -> Result<LazyOctree, TraceError> {
+        let parts = Parts::new(&source, budget, &options)?;
+        let block_count = parts.model.blocks.len() as u32;
+        let tracers = u64::from(options.tracers_max.max(1));
+        let aside = tracers.saturating_mul(tracer_bytes(&parts.model).0);
+        let available = budget.available().0.saturating_sub(aside);
+        let slots_max = options.slots_max.unwrap_or(u32::MAX).min(block_count);
+        // Fewer slots than tracers can leave a tracer without any.
+        let slots_least = options.tracers_max.max(1).min(block_count);
+
+        let slots_of = |expanded: bool| {
+            let bytes = parts.slot_bytes(expanded);
+            slots_that_fit(available, bytes, block_count).min(slots_max)
+        };
+        let expanded = match options.leaf_layout {
+            LeafLayout::Expanded => true,
+            LeafLayout::Indexed => false,
+            LeafLayout::Auto => slots_of(true) >= slots_max.min(block_count.div_ceil(4)).max(slots_least),
+        };
+        let slot_count = slots_of(expanded);
+        if slot_count < slots_least {
+            let needed = SlotCache::<Lru>::footprint(slots_least, parts.slot_bytes(expanded), block_count)
+                .0
+                .saturating_add(aside);
+            return Err(TraceError::Budget(BudgetError {
+                purpose: "one cache slot and the scratch of each tracer",
+                needed: Bytes(needed),
+                available: budget.available(),
+                limit: budget.limit(),
+            }));
+        }
+        let slot_bytes = parts.slot_bytes(expanded);
+        let cache = SlotCache::new(slot_count, slot_bytes, block_count, Lru::new(), budget)?;
+        Ok(parts.finish(source, Arc::new(cache), expanded, budget, &options))
+    }
+
+    /// Opens an octree over a cache that the caller made, for example with another replacement policy. The cache must
+    /// be for this model's blocks and used for nothing else; its slots must have at least [`LazyOctree::slot_bytes`].
+    /// `slots_max` is not used, and `LeafLayout::Auto` means expanded if the slots are large enough.
+    ///
+    /// # Errors
+    /// [`TraceError::Budget`] if the coarse tree does not fit in the budget, the slots are too small, or there are
+    /// fewer of them than tracers.
+    pub fn with_cache(
+        source: Arc<dyn BlockSource>,
+        cache: Arc<dyn GeometryCache>,
+        budget: &MemoryBudget,
+        options: OctreeOptions,
+    ) -> Result<LazyOctree, TraceError> {
+        let parts = Parts::new(&source, budget, &options)?;
+        let expanded = match options.leaf_layout {
+            LeafLayout::Expanded => true,
+            LeafLayout::Indexed => false,
+            LeafLayout::Auto => cache.slot_bytes() >= parts.slot_bytes(true),
+        };
+        let slots_least = options.tracers_max.max(1).min(parts.model.blocks.len() as u32);
+        let needed = [
+            (parts.slot_bytes(expanded), cache.slot_bytes(), "a block's tree in a slot of the given cache"),
+            (
+                Bytes(u64::from(slots_least)),
+                Bytes(u64::from(cache.slot_count())),
+                "one slot of the given cache for each tracer (counted in slots)",
+            ),
+        ];
+        for (needed, available, purpose) in needed {
+            if needed > available {
+                return Err(TraceError::Budget(BudgetError {
+                    purpose,
+                    needed,
+                    available,
+                    limit: budget.limit(),
+                }));
+            }
+        }
+        Ok(parts.finish(source, cache, expanded, budget, &options))
+    }
+
+    /// Bytes of a slot that holds the tree of any block of `model`. `layout`: `Auto` is taken as `Expanded`.
+    pub fn slot_bytes(model: &Model, layout: LeafLayout) -> Bytes {
+        FineLayout { expanded: layout != LeafLayout::Indexed, scale: scale_of(model) }.for_model(model)
+    }
+
+    /// What the source says about the model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Where the blocks come from.
+    pub fn source(&self) -> &Arc<dyn BlockSource> {
+        &self.source
+    }
+
+    /// The slots; for their number, size and statistics.
+    pub fn cache(&self) -> &dyn GeometryCache {
+        &*self.cache
+    }
+
+    /// The layout of leaves that was chosen; never `Auto`.
+    pub fn leaf_layout(&self) -> LeafLayout {
+        if self.layout.expanded { LeafLayout::Expanded } else { LeafLayout::Indexed }
+    }
+
+    /// The instructions in use.
+    pub fn simd_level(&self) -> SimdLevel {
+        self.level
+    }
+
+    /// The right to make one more tracer.
+    pub(crate) fn permit(&self) -> Result<TracerPermit<'_>, BudgetError> {
+        let limit = self.tracers_max.max(1);
+        let one_more = |count| (count < limit).then_some(count + 1);
+        match self.tracer_count.fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_more) {
+            Ok(_) => Ok(TracerPermit(&self.tracer_count)),
+            Err(_) => Err(BudgetError {
+                purpose: "more tracers than `OctreeOptions::tracers_max` (counted in tracers)",
+                needed: Bytes(1),
+                available: Bytes(0),
+                limit: Bytes(u64::from(limit)),
+            }),
+        }
+    }
+
+    /// How many tracers may live at once.
+    pub fn tracers_max(&self) -> u32 {
+        self.tracers_max
+    }
+}
+
+/// What one tracer takes from the budget.
+pub(crate) fn tracer_bytes(model: &Model) -> Bytes {
+    let limits = model.limits;
+    Bytes(
+        DecodeScratch::bytes_for(limits).0
+            + BlockData::bytes_for(limits).0
+            + model.stored_bytes_max().0
+            + BuildScratch::bytes(limits.triangle_count_max(), limits.vertex_count_max())
+            // Stacks, pins and the struct itself.
+            + (16 << 10),
+    )
+}
+
+/// What both ways of opening share.
+struct Parts {
+    model: Arc<Model>,
+    coarse: CoarseTree,
+    scale: f64,
+    level: SimdLevel,
+    directory: Reservation,
+}
+
+impl Parts {
+    fn new(
+        source: &Arc<dyn BlockSource>,
+        budget: &MemoryBudget,
+        options: &OctreeOptions,
+    ) -> Result<Parts, TraceError> {
+        let model = Arc::clone(source.model());
+        let directory = budget.reserve(model.resident_bytes(), "the model's directory and materials")?;
+        let level = match options.simd {
+            Some(level) => level.min(SimdLevel::best()),
+            None => SimdLevel::best(),
+        };
+        let scale = scale_of(&model);
+        let coarse = CoarseTree::build(&model, scale, level, budget)?;
+        Ok(Parts { model, coarse, scale, level, directory })
+    }
+
+    fn slot_bytes(&self, expanded: bool) -> Bytes {
+        FineLayout { expanded, scale: self.scale }.for_model(&self.model)
+    }
+
+    fn finish(
+        self,
+        source: Arc<dyn BlockSource>,
+        cache: Arc<dyn GeometryCache>,
+        expanded: bool,
+        budget: &MemoryBudget,
+        options: &OctreeOptions,
+    ) -> LazyOctree {
+        LazyOctree {
+            source,
+            model: self.model,
+            cache,
+            coarse: self.coarse,
+            layout: FineLayout { expanded, scale: self.scale },
+            level: self.level,
+            tier: options.tier,
+            budget: budget.clone(),
+            tracers_max: options.tracers_max,
+            tracer_count: AtomicU32::new(0),
+            _directory: self.directory,
+        }
+    }
+}
+
+impl FineLayout {
+    fn for_model(self, model: &Model) -> Bytes {
+        // Lattice blocks of great extent and scaled blocks keep exact positions beside the rounded ones.
+        let wide = self.scale != 1.0 || model.precision != Precision::Float32;
+        let sizes = model
+            .blocks
+            .iter()
+            .map(|entry| self.slot_bytes(entry.triangle_count as usize, entry.vertex_count as usize, wide));
+        sizes.max().unwrap_or(Bytes(0))
+    }
+}
+
+/// The scale of the model's trees.
+fn scale_of(model: &Model) -> f64 {
+    let from_zero = matches!(model.precision, Precision::Float32);
+    let reach = (0..3).fold(0.0f64, |reach, axis| {
+        let (min, max) = (model.bounds.min[axis], model.bounds.max[axis]);
+        reach.max(if from_zero { min.abs().max(max.abs()) } else { max - min })
+    });
+    Frame::scale_for(reach)
+}
+
+/// How many slots of `slot_bytes`, with the table over `block_count` blocks, fit in `available` bytes.
+fn slots_that_fit(available: u64, slot_bytes: Bytes, block_count: u32) -> u32 {
+    let fits = |count: u32| SlotCache::<Lru>::footprint(count, slot_bytes, block_count).0 <= available;
+    // The footprint grows with the count: search for the last that fits.
+    let (mut fitting, mut beyond) = (0u32, block_count.saturating_add(1));
+    while beyond - fitting > 1 {
+        let middle = fitting + (beyond - fitting) / 2;
+        if fits(middle) {
+            fitting = middle;
+        } else {
+            beyond = middle;
+        }
+    }
+    fitting
+}

@@ -1,0 +1,197 @@
+//! [`Tracer`]: one thread's way into an octree.
+
+use super::any::occlusion;
+use super::closest::{Work, closest_hit};
+use super::load::{LoadScratch, Pins};
+use super::stack::Stack;
+use super::{Hit, MaterialSet, Occlusion};
+use crate::budget::Reservation;
+use crate::error::TraceError;
+use crate::geom::Ray;
+use crate::octree::{LazyOctree, Tier, TracerPermit, tracer_bytes};
+use crate::simd::{Operation, Simd, dispatch};
+use crate::stats::TraceCounters;
+use crate::units::TriangleId;
+
+/// Answers queries on one thread, with memory of its own.
+///
+/// It keeps the blocks that it entered last pinned, so that entering them again is cheap; see
+/// [`Tracer::release_pins`].
+pub struct Tracer<'o> {
+    octree: &'o LazyOctree,
+    pins: Pins<'o>,
+    scratch: LoadScratch,
+    stack: Box<Stack>,
+    counters: TraceCounters,
+    _reservation: Reservation,
+    _permit: TracerPermit<'o>,
+}
+
+impl LazyOctree {
+    /// A tracer for the calling thread, or for one that it is sent to.
+    ///
+    /// # Errors
+    /// [`TraceError::Budget`] if the budget has no room for its scratch, or `tracers_max` tracers live already.
+    pub fn tracer(&self) -> Result<Tracer<'_>, TraceError> {
+        let permit = self.permit()?;
+        let reservation = self.budget.reserve(tracer_bytes(&self.model), "a tracer's scratch")?;
+        Ok(Tracer {
+            octree: self,
+            pins: Pins::new(self),
+            scratch: LoadScratch::new(&self.model),
+            stack: Box::new(Stack::new()),
+            counters: TraceCounters::default(),
+            _reservation: reservation,
+            _permit: permit,
+        })
+    }
+}
+
+impl<'o> Tracer<'o> {
+    /// The octree it traces.
+    pub fn octree(&self) -> &'o LazyOctree {
+        self.octree
+    }
+
+    /// Finds for each ray the hit with the least (t, triangle id), and puts it at the ray's place in `hits`.
+    ///
+    /// # Errors
+    /// [`TraceError::InvalidRay`], or [`TraceError::Load`] if a block that a ray reached cannot be brought in; `hits` is
+    /// not to be used then.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn closest_hits(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError> {
+        assert_eq!(rays.len(), hits.len(), "one place for each ray");
+        dispatch(self.octree.level, ClosestHits { tracer: self, rays, after: &[], hits })
+    }
+
+    /// [`Tracer::closest_hits`] for one ray.
+    ///
+    /// # Errors
+    /// As for [`Tracer::closest_hits`].
+    pub fn closest_hit(&mut self, ray: &Ray) -> Result<Option<Hit>, TraceError> {
+        let mut hit = [None];
+        self.closest_hits(std::slice::from_ref(ray), &mut hit)?;
+        Ok(hit[0])
+    }
+
+    /// Finds for each ray the least hit by (t, triangle id) that is strictly greater than the ray's pair in `after`: the
+    /// next surface behind a known one, with no epsilon and however many surfaces coincide. A NaN `t` in `after`
+    /// admits every hit.
+    ///
+    /// # Errors
+    /// As for [`Tracer::closest_hits`].
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn closest_hits_after(
+        &mut self,
+        rays: &[Ray],
+        after: &[(f64, TriangleId)],
+        hits: &mut [Option<Hit>],
+    ) -> Result<(), TraceError> {
+        assert!(rays.len() == hits.len() && rays.len() == after.len(), "one place for each ray");
+        dispatch(self.octree.level, ClosestHits { tracer: self, rays, after, hits })
+    }
+
+    /// Finds for each ray whether anything lies between its ends, leaving triangles of the materials in `ignore` apart.
+    ///
+    /// # Errors
+    /// As for [`Tracer::closest_hits`].
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn occluded(
+        &mut self,
+        rays: &[Ray],
+        ignore: Option<&MaterialSet>,
+        out: &mut [Occlusion],
+    ) -> Result<(), TraceError> {
+        assert_eq!(rays.len(), out.len(), "one place for each ray");
+        // A set that ignores nothing would only cost a look at each material.
+        let ignore = ignore.filter(|set| !set.is_empty());
+        dispatch(self.octree.level, Occlusions { tracer: self, rays, ignore, out })
+    }
+
+    /// What this tracer did so far.
+    pub fn counters(&self) -> TraceCounters {
+        self.counters
+    }
+
+    /// Lets go of all blocks, so that other tracers can have their slots. Do it before a long pause.
+    pub fn release_pins(&mut self) {
+        self.pins.clear();
+    }
+
+    #[inline(always)]
+    fn work(&mut self) -> Work<'_, 'o> {
+        Work {
+            octree: self.octree,
+            pins: &mut self.pins,
+            scratch: &mut self.scratch,
+            stack: &mut self.stack,
+            counters: &mut self.counters,
+        }
+    }
+}
+
+fn check(ray: &Ray, index: usize) -> Result<(), TraceError> {
+    ray.validate().map_err(|reason| TraceError::InvalidRay { index, reason })
+}
+
+struct ClosestHits<'a, 'o> {
+    tracer: &'a mut Tracer<'o>,
+    rays: &'a [Ray],
+    /// One for each ray, or none at all.
+    after: &'a [(f64, TriangleId)],
+    hits: &'a mut [Option<Hit>],
+}
+
+impl Operation for ClosestHits<'_, '_> {
+    type Output = Result<(), TraceError>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Self::Output {
+        let certified = self.tracer.octree.tier == Tier::Certified;
+        let mut work = self.tracer.work();
+        for (index, (ray, hit)) in self.rays.iter().zip(self.hits).enumerate() {
+            check(ray, index)?;
+            work.counters.rays += 1;
+            let after = self.after.get(index).copied();
+            *hit = if certified {
+                closest_hit::<S, true>(simd, &mut work, ray, after)?
+            } else {
+                closest_hit::<S, false>(simd, &mut work, ray, after)?
+            };
+        }
+        Ok(())
+    }
+}
+
+struct Occlusions<'a, 'o> {
+    tracer: &'a mut Tracer<'o>,
+    rays: &'a [Ray],
+    ignore: Option<&'a MaterialSet>,
+    out: &'a mut [Occlusion],
+}
+
+impl Operation for Occlusions<'_, '_> {
+    type Output = Result<(), TraceError>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Self::Output {
+        let certified = self.tracer.octree.tier == Tier::Certified;
+        let mut work = self.tracer.work();
+        for (index, (ray, out)) in self.rays.iter().zip(self.out).enumerate() {
+            check(ray, index)?;
+            work.counters.rays += 1;
+            *out = if certified {
+                occlusion::<S, true>(simd, &mut work, ray, self.ignore)?
+            } else {
+                occlusion::<S, false>(simd, &mut work, ray, self.ignore)?
+            };
+        }
+        Ok(())
+    }
+}

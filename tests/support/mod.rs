@@ -1,0 +1,144 @@
+//! Small models compiled in memory with a partition of the test's choosing, and brute force over their triangles.
+#![allow(dead_code)]
+
+use std::sync::Arc;
+
+use outcrop::block::{BlockInput, BlockLimits, Codec, EncodeScratch, VertexInput, encode};
+use outcrop::geom::{Aabb, Precision, Ray, intersect_certified};
+use outcrop::model::{MaterialRecord, ModelWriter, NewBlock, SourceRecord, SubBoxes};
+use outcrop::source::MemorySource;
+use outcrop::units::TriangleId;
+
+/// Triangles with exact positions; ids count from 0, the material of triangle `i` is `i % MATERIALS`.
+pub type Triangles = Vec<[[f64; 3]; 3]>;
+
+pub const MATERIALS: u16 = 3;
+
+/// Compiles `triangles` into blocks of at most `block_triangles`, cut in the order that `key` sorts them into.
+/// Positions must be exact in `precision`.
+pub fn compile(
+    triangles: &[[[f64; 3]; 3]],
+    precision: Precision,
+    block_triangles: usize,
+    key: impl Fn(usize) -> u64,
+) -> Arc<MemorySource> {
+    let limits = BlockLimits { block_bytes_max: 64 << 10 };
+    let mut order: Vec<usize> = (0..triangles.len()).collect();
+    order.sort_by_key(|i| (key(*i), *i));
+    let mut writer = ModelWriter::new(precision, limits).unwrap();
+    let mut scratch = EncodeScratch::with_limits(limits);
+    let mut file = vec![0; writer.next_offset() as usize];
+    for chunk in order.chunks(block_triangles.min(1300)) {
+        let mut members = chunk.to_vec();
+        members.sort_unstable();
+        let mut vertices: Vec<[f64; 3]> = Vec::new();
+        let indices: Vec<[u16; 3]> = members
+            .iter()
+            .map(|i| {
+                triangles[*i].map(|corner| {
+                    let found = vertices.iter().position(|v| v.map(f64::to_bits) == corner.map(f64::to_bits));
+                    found.unwrap_or_else(|| {
+                        vertices.push(corner);
+                        vertices.len() - 1
+                    }) as u16
+                })
+            })
+            .collect();
+        let ids: Vec<u64> = members.iter().map(|i| *i as u64).collect();
+        let materials: Vec<u16> = members.iter().map(|i| *i as u16 % MATERIALS).collect();
+        let (floats, lattice): (Vec<[f32; 3]>, Vec<[i64; 3]>);
+        let input_vertices = match precision {
+            Precision::Float32 => {
+                floats = vertices
+                    .iter()
+                    .map(|v| {
+                        v.map(|x| {
+                            assert_eq!(f64::from(x as f32), x);
+                            x as f32
+                        })
+                    })
+                    .collect();
+                VertexInput::Float32(&floats)
+            }
+            Precision::Lattice(l) => {
+                lattice = vertices
+                    .iter()
+                    .map(|v| {
+                        v.map(|x| {
+                            let coordinate = l.quantize(x).unwrap();
+                            assert_eq!(l.position(coordinate), x);
+                            coordinate
+                        })
+                    })
+                    .collect();
+                VertexInput::Lattice(&lattice)
+            }
+        };
+        let input =
+            BlockInput { vertices: input_vertices, triangles: &indices, ids: &ids, materials: &materials };
+        let mut stored = Vec::new();
+        encode(&input, precision, limits, Codec::Lz4, &mut scratch, &mut stored).unwrap();
+        let box_of = |members: &[usize]| {
+            let mut bounds = Aabb::EMPTY;
+            members.iter().flat_map(|i| triangles[*i]).for_each(|v| bounds.grow(v));
+            bounds
+        };
+        let bounds = box_of(&members);
+        let parts: Vec<Aabb> = chunk.chunks(chunk.len().div_ceil(8)).map(box_of).collect();
+        writer
+            .push(&NewBlock {
+                stored: &stored,
+                triangle_count: members.len() as u32,
+                vertex_count: vertices.len() as u32,
+                bounds,
+                sub_boxes: SubBoxes::quantize(&bounds, &parts),
+                material_range: [*materials.iter().min().unwrap(), *materials.iter().max().unwrap()],
+            })
+            .unwrap();
+        file.extend_from_slice(&stored);
+    }
+    let materials = vec![MaterialRecord::default(); usize::from(MATERIALS)];
+    let sealed = writer.seal(&materials, SourceRecord::default()).unwrap();
+    file.extend_from_slice(&sealed.tail);
+    file[..sealed.header.len()].copy_from_slice(&sealed.header);
+    Arc::new(MemorySource::new(file).unwrap())
+}
+
+/// Every hit of the ray, by (t, id).
+pub fn all_hits(triangles: &[[[f64; 3]; 3]], ray: &Ray) -> Vec<(f64, TriangleId)> {
+    let mut hits: Vec<(f64, TriangleId)> = triangles
+        .iter()
+        .enumerate()
+        .filter_map(|(i, vertices)| {
+            intersect_certified(ray, vertices, &mut 0).map(|hit| (hit.t, TriangleId(i as u64)))
+        })
+        .collect();
+    hits.sort_by(|a, b| a.partial_cmp(b).unwrap());
+    hits
+}
+
+/// A small deterministic generator (SplitMix64).
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ z >> 31
+    }
+
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.next() % n as u64) as usize
+    }
+
+    /// In -1 .. 1.
+    pub fn signed(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    pub fn vector(&mut self) -> [f64; 3] {
+        [self.signed(), self.signed(), self.signed()]
+    }
+}
