@@ -10,8 +10,8 @@ pub(super) const COORDINATE_MAX: f64 = f64::from_bits((1023 + 252) << 52);
 /// Components of a scaled direction are multiples of this, `2^-570`; every f64 from `2^-518` up is one.
 const DIRECTION_UNIT: f64 = f64::from_bits((1023 - 570) << 52);
 
-/// Error of an edge function relative to its permanent's bound: 7 roundings on a path, and room for the rounding of the
-/// bound and of the third function (`docs/numerics.md`, "Edge functions").
+/// Error of an edge function relative to the bound on the permanents: 9 roundings on the longest path, one for those in the
+/// bound (`docs/numerics.md`, "Edge functions").
 const EDGE_ERROR: f64 = 2.0 * gamma(10);
 /// Error of numerator and denominator of `t` relative to their computed permanents (`docs/numerics.md`, "Ray parameter").
 pub(super) const PLANE_ERROR: f64 = gamma(9);
@@ -19,7 +19,7 @@ pub(super) const PLANE_ERROR: f64 = gamma(9);
 const T_CONDITION_MAX: f64 = 900.0;
 /// The same for double-length numbers: `64 u^2 * 2^59 = 2^-41`.
 const T_CONDITION_MAX_DOUBLE: f64 = (1u64 << 59) as f64;
-/// Error of the edge functions in double-length numbers relative to that in f64: `64 u^2 / 9.1 u < 8 u` (`docs/numerics.md`,
+/// Error of the edge functions in double-length numbers relative to that in f64: `50 u^2 / gamma(9) < 8 u` (`docs/numerics.md`,
 /// "Double length").
 const DOUBLE_ERROR: f64 = 8.0 * U64;
 /// `u` and `v` stand if the edge functions' error is at most this part of the determinant.

@@ -20,7 +20,7 @@ pub fn hit_position(vertices: &[[f64; 3]; 3], u: f64, v: f64) -> [f64; 3] {
 #[inline]
 pub fn position_error(vertices: &[[f64; 3]; 3], u: f64, v: f64) -> f64 {
     // s = u (b-a) + v (c-a) has difference, product and sum: gamma(3) of its permanent; a + s is rounded once more: u64 |p|
-    // of the computed p. Computing this bound rounds up to 6 times, which gamma(4) and 1.0 -> 1 + 2^-40 cover.
+    // of the computed p. gamma(4) and the factor 1 + 2^-41 cover the rounding of the bound itself.
     let [a, b, c] = vertices;
     let mut error = 0.0f64;
     for axis in 0..3 {

@@ -90,7 +90,7 @@ fn to_f32(triangle: Triangle) -> Triangle {
 }
 
 /// The families of [`sample`], by name.
-pub const FAMILIES: [&str; 14] = [
+pub const FAMILIES: [&str; 16] = [
     "random",
     "f32 vertices",
     "exact hits of vertices and edges",
@@ -105,6 +105,8 @@ pub const FAMILIES: [&str; 14] = [
     "parallel to the plane",
     "far and tiny",
     "extreme lattices",
+    "needles of every width at every slope",
+    "needles in their own plane",
 ];
 
 /// A ray and a triangle of a family. All inside the proven domain.
@@ -242,6 +244,24 @@ pub fn sample(family: usize, random: &mut Random) -> (Ray, Triangle) {
         12 => {
             let triangle = to_f32([(); 3].map(|()| random.vector(1e-6)));
             (aimed(random.vector(1e9), point_of(random, &triangle)), triangle)
+        }
+        14 | 15 => {
+            // Full mantissas, so that every operation of every stage rounds.
+            let (a, ab) = (random.vector(1.0), random.vector(1.0));
+            let width = 2f64.powi(-(random.below(45) as i32));
+            let ac = along(random.vector(width), random.signed(), ab);
+            let triangle = [a, along(a, 1.0, ab), along(a, 1.0, ac)];
+            let target = point_of(random, &triangle);
+            let mut direction = along(random.vector(1.0), random.signed() / width, ac);
+            if family == 14 {
+                direction = along(direction, 2f64.powi(-(random.below(52) as i32)), random.vector(1.0));
+            } else {
+                let slope = 2f64.powi(-(random.below(52) as i32));
+                let level = random.signed();
+                direction = along(along(random.vector(slope), level, ab), random.signed(), ac);
+            }
+            let distance = 2f64.powi(random.below(12) as i32 - 2);
+            (Ray::new(along(target, -distance, direction), direction), triangle)
         }
         _ => {
             let exponent = [-200, -100, 0, 100, 200][random.below(5) as usize];
