@@ -2,11 +2,12 @@
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use xxhash_rust::xxh3::Xxh3;
 
+use super::library;
 use super::meter::Meter;
 use super::obj;
 use super::ply;
@@ -97,34 +98,60 @@ fn io_error(path: &Path) -> impl Fn(io::Error) -> ImportError + '_ {
 /// Bytes at each end of a model file that its fingerprint covers.
 const FINGERPRINT_BYTES: u64 = 64 << 10;
 
-/// What a compiled file keeps to notice that the model file changed.
+/// What a compiled file keeps to notice that the model file changed. The modification time is the latest of the model
+/// file and of the material libraries that it names in its first 64 KiB (an OBJ file's `mtllib`, a PLY file's
+/// `comment mtllib`), where writers put them.
 ///
 /// # Errors
-/// [`ImportError::Io`].
+/// [`ImportError::Io`] for the model file. A library that is not there is left out, as [`import_file`] leaves it out.
 pub fn source_record(path: &Path) -> Result<SourceRecord, ImportError> {
-    let record = || -> io::Result<SourceRecord> {
-        let mut file = File::open(path)?;
-        let metadata = file.metadata()?;
-        let file_bytes = metadata.len();
-        let mut hash = Xxh3::new();
-        hash.update(&file_bytes.to_le_bytes());
-        let mut bytes = Vec::new();
-        (&mut file).take(FINGERPRINT_BYTES).read_to_end(&mut bytes)?;
-        hash.update(&bytes);
-        if file_bytes > FINGERPRINT_BYTES {
-            file.seek(SeekFrom::Start((file_bytes - FINGERPRINT_BYTES).max(FINGERPRINT_BYTES)))?;
-            bytes.clear();
-            file.take(FINGERPRINT_BYTES).read_to_end(&mut bytes)?;
-            hash.update(&bytes);
+    let mut file = File::open(path).map_err(io_error(path))?;
+    let metadata = file.metadata().map_err(io_error(path))?;
+    let mut modified_ns = modified_ns(&metadata).map_err(io_error(path))?;
+    let fingerprint = fingerprint(&mut file, metadata.len()).map_err(io_error(path))?;
+    if let Some((format, compressed)) = kind(path) {
+        let mut front = Vec::new();
+        let (reader, _) = open(path, compressed)?;
+        // A compressed file that is damaged here will say so when it is imported.
+        let _ = reader.take(FINGERPRINT_BYTES).read_to_end(&mut front);
+        for library in named_libraries(format, path, &front) {
+            let library_ns = library.metadata().and_then(|metadata| self::modified_ns(&metadata));
+            modified_ns = modified_ns.max(library_ns.unwrap_or(0));
         }
-        let modified_ns = modified_ns(&metadata)?;
-        Ok(SourceRecord { file_bytes, modified_ns, fingerprint: hash.digest() })
-    };
-    record().map_err(io_error(path))
+    }
+    Ok(SourceRecord { file_bytes: metadata.len(), modified_ns, fingerprint })
+}
+
+/// XXH3-64 over the size and both ends of a file.
+fn fingerprint(file: &mut File, file_bytes: u64) -> io::Result<u64> {
+    let mut hash = Xxh3::new();
+    hash.update(&file_bytes.to_le_bytes());
+    let mut bytes = Vec::new();
+    file.take(FINGERPRINT_BYTES).read_to_end(&mut bytes)?;
+    hash.update(&bytes);
+    if file_bytes > FINGERPRINT_BYTES {
+        file.seek(SeekFrom::Start(file_bytes - FINGERPRINT_BYTES))?;
+        bytes.clear();
+        file.take(FINGERPRINT_BYTES).read_to_end(&mut bytes)?;
+        hash.update(&bytes);
+    }
+    Ok(hash.digest())
 }
 
 /// Modification time in nanoseconds since 1970; 0 for times before that.
 fn modified_ns(metadata: &std::fs::Metadata) -> io::Result<u64> {
     let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
     Ok(u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
+}
+
+/// Material libraries that the first bytes of a model file name and that are there.
+fn named_libraries(format: Format, model: &Path, front: &[u8]) -> Vec<PathBuf> {
+    let prefix: &[u8] = match format {
+        Format::Obj => b"mtllib",
+        Format::Ply => b"comment mtllib",
+        Format::Stl => return Vec::new(),
+    };
+    let lines = front.split(|byte| matches!(byte, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
+    let names = lines.filter_map(|line| line.strip_prefix(prefix)).filter(|rest| rest.starts_with(b" "));
+    names.flat_map(|names| library::libraries(model, names)).filter_map(|(_, path)| path).collect()
 }

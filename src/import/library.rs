@@ -7,31 +7,30 @@ use std::path::{Path, PathBuf};
 use super::feed::Feed;
 use super::mtl;
 use super::report::{ImportOptions, ImportReport};
-use super::text::{shown, words};
+use super::text::shown;
 use crate::error::ImportError;
 use crate::model::MaterialRecord;
 use crate::units::MaterialId;
 
-/// Materials that are kept from libraries; a compiled file can hold no more.
-const MATERIALS_MAX: usize = 1 << 16;
+/// Materials that are kept from libraries: what a compiled file can hold, less the default one.
+const MATERIALS_MAX: usize = (1 << 16) - 1;
+
+/// Bytes of their names that are kept.
+const NAME_BYTES_MAX: usize = 4 << 20;
 
 /// Libraries that a model may name.
 const LIBRARIES_MAX: usize = 256;
 
-/// Materials by name and by index. One goes to the sink when a face first uses it, so that a library larger than
-/// the model costs nothing.
+/// Materials by name and by index, in the order of their libraries. All go to the sink, so that their order there
+/// is that of the library too.
 pub(super) struct Materials<'a> {
     /// The model file: libraries are looked for beside it.
     model: &'a Path,
     /// Whether the caller named a library, which takes the place of those that the model names.
     replaced: bool,
-    entries: Vec<Entry>,
-    by_name: HashMap<String, usize>,
-}
-
-struct Entry {
-    record: MaterialRecord,
-    id: Option<MaterialId>,
+    ids: Vec<MaterialId>,
+    by_name: HashMap<String, MaterialId>,
+    name_bytes: usize,
 }
 
 impl<'a> Materials<'a> {
@@ -39,24 +38,32 @@ impl<'a> Materials<'a> {
     pub(super) fn new(
         model: &'a Path,
         options: &ImportOptions,
-        report: &mut ImportReport,
+        feed: &mut Feed<'_>,
     ) -> Result<Materials<'a>, ImportError> {
         let mut materials =
-            Materials { model, replaced: false, entries: Vec::new(), by_name: HashMap::new() };
+            Materials { model, replaced: false, ids: Vec::new(), by_name: HashMap::new(), name_bytes: 0 };
         if let Some(path) = &options.materials {
             materials.replaced = true;
-            materials.load(path, report).map_err(|error| ImportError::Io { path: path.clone(), error })?;
+            let records = materials.read(path, &mut feed.report);
+            let records = records.map_err(|error| ImportError::Io { path: path.clone(), error })?;
+            materials.add(records, feed)?;
         }
         Ok(materials)
     }
 
     /// Loads the libraries that the model names in one line. What is missing becomes a warning.
-    pub(super) fn load_named(&mut self, names: &[u8], line: Option<u64>, report: &mut ImportReport) {
+    pub(super) fn load_named(
+        &mut self,
+        names: &[u8],
+        line: Option<u64>,
+        feed: &mut Feed<'_>,
+    ) -> Result<(), ImportError> {
         if self.replaced {
-            return;
+            return Ok(());
         }
-        for name in split_names(names, &|name| self.find(name).is_some()) {
-            let Some(path) = self.find(name) else {
+        for (name, path) in libraries(self.model, names) {
+            let report = &mut feed.report;
+            let Some(path) = path else {
                 let text = format!("the material library `{}` is not there", shown(name));
                 report.warn(self.model, line, text);
                 continue;
@@ -65,114 +72,115 @@ impl<'a> Materials<'a> {
                 continue;
             }
             if report.material_files.len() == LIBRARIES_MAX {
-                report.warn(self.model, line, "too many material libraries; this one is left out");
+                report.warn_once(
+                    self.model,
+                    line,
+                    "too many material libraries; the rest is left out".into(),
+                );
                 continue;
             }
-            if let Err(error) = self.load(&path, report) {
-                report.warn(&path, None, format!("cannot read the material library: {error}"));
+            match self.read(&path, report) {
+                Ok(records) => self.add(records, feed)?,
+                Err(error) => report.warn(&path, None, format!("cannot read the material library: {error}")),
             }
-        }
-    }
-
-    /// Loads a library. A name that is there already gets the new meaning.
-    fn load(&mut self, path: &Path, report: &mut ImportReport) -> io::Result<()> {
-        report.material_files.push(path.to_path_buf());
-        let mut full = false;
-        mtl::read(path, report, &mut |record| {
-            full = self.entries.len() == MATERIALS_MAX;
-            if !full {
-                self.by_name.insert(record.name.clone(), self.entries.len());
-                self.entries.push(Entry { record, id: None });
-            }
-            !full
-        })?;
-        if full {
-            report.warn(path, None, format!("more than {MATERIALS_MAX} materials; the rest is left out"));
         }
         Ok(())
     }
 
-    /// The file that a library name means, if it is there.
-    fn find(&self, name: &[u8]) -> Option<PathBuf> {
-        library_paths(self.model, name).into_iter().find(|path| path.is_file())
+    /// Reads a library.
+    fn read(&mut self, path: &Path, report: &mut ImportReport) -> io::Result<Vec<MaterialRecord>> {
+        report.material_files.push(path.to_path_buf());
+        let mut records = Vec::new();
+        let mut full = false;
+        mtl::read(path, report, &mut |record| {
+            self.name_bytes += record.name.len();
+            full = self.ids.len() + records.len() == MATERIALS_MAX || self.name_bytes > NAME_BYTES_MAX;
+            if !full {
+                records.push(record);
+            }
+            !full
+        })?;
+        if full {
+            report.warn(path, None, format!("{} materials are enough; the rest is left out", self.ids.len()));
+        }
+        Ok(records)
     }
 
-    /// Materials known so far.
-    pub(super) fn count(&self) -> usize {
-        self.entries.len()
+    /// Sends materials to the sink. A name that is there already gets the new meaning.
+    fn add(&mut self, records: Vec<MaterialRecord>, feed: &mut Feed<'_>) -> Result<(), ImportError> {
+        for record in records {
+            let name = record.name.clone();
+            let id = feed.add_material(record)?;
+            self.ids.push(id);
+            self.by_name.insert(name, id);
+        }
+        Ok(())
+    }
+
+    /// The model file.
+    pub(super) fn model(&self) -> &'a Path {
+        self.model
+    }
+
+    /// Materials in the order of their libraries.
+    pub(super) fn ids(&self) -> &[MaterialId] {
+        &self.ids
     }
 
     /// The library's only material, for models whose faces name none; with a warning, the default one if the caller
     /// named a library that holds several.
-    pub(super) fn only(&mut self, feed: &mut Feed<'_>) -> Result<Option<MaterialId>, ImportError> {
-        match self.entries.len() {
-            0 => Ok(None),
-            1 => self.indexed(0, feed).map(Some),
-            count => {
+    pub(super) fn only(&self, feed: &mut Feed<'_>) -> Option<MaterialId> {
+        match self.ids.as_slice() {
+            [] => None,
+            [id] => Some(*id),
+            ids => {
+                let count = ids.len();
                 let text =
                     format!("faces name no materials and the library has {count}; the default one is used");
-                feed.report.warn(self.model, None, text);
-                Ok(None)
+                feed.report.warn_once(self.model, None, text);
+                None
             }
         }
     }
 
     /// The material of that name, for `usemtl`; with a warning, the default one if there is none.
-    pub(super) fn named(
-        &mut self,
-        name: &[u8],
-        line: u64,
-        feed: &mut Feed<'_>,
-    ) -> Result<Option<MaterialId>, ImportError> {
+    pub(super) fn named(&self, name: &[u8], line: u64, feed: &mut Feed<'_>) -> Option<MaterialId> {
         let name = name.trim_ascii();
-        let text = String::from_utf8_lossy(name);
-        match self.by_name.get(text.as_ref()) {
-            Some(index) => self.indexed(*index, feed).map(Some),
-            None => {
-                let text = format!("the material `{}` is not defined; the default one is used", shown(name));
-                feed.report.warn_once(self.model, Some(line), text);
-                Ok(None)
-            }
+        let id = self.by_name.get(String::from_utf8_lossy(name).as_ref()).copied();
+        if id.is_none() {
+            let text = format!("the material `{}` is not defined; the default one is used", shown(name));
+            feed.report.warn_once(self.model, Some(line), text);
         }
-    }
-
-    /// The material of that index, less than `count()`.
-    pub(super) fn indexed(&mut self, index: usize, feed: &mut Feed<'_>) -> Result<MaterialId, ImportError> {
-        let entry = &mut self.entries[index];
-        match entry.id {
-            Some(id) => Ok(id),
-            None => {
-                let id = feed.add_material(entry.record.clone())?;
-                entry.id = Some(id);
-                Ok(id)
-            }
-        }
+        id
     }
 }
 
-/// Splits the names of a `mtllib` line. Names may hold blanks, so the longest run of words that is a file counts as
-/// one name.
-pub(super) fn split_names<'t>(names: &'t [u8], exists: &dyn Fn(&[u8]) -> bool) -> Vec<&'t [u8]> {
+/// The names in a `mtllib` line, with their files where these are there. Names may hold blanks, so the longest run of
+/// words that is a file counts as one name.
+pub(super) fn libraries<'t>(model: &Path, names: &'t [u8]) -> Vec<(&'t [u8], Option<PathBuf>)> {
     const WORDS_MAX: usize = 64;
+    let find = |name: &[u8]| candidates(model, name).into_iter().find(|path| path.is_file());
     let mut found = Vec::new();
     let mut rest = names.trim_ascii();
     while !rest.is_empty() && found.len() < WORDS_MAX {
-        let ends = words(rest).take(WORDS_MAX).map(|word| {
-            // Every word is a part of `rest`.
-            word.as_ptr() as usize - rest.as_ptr() as usize + word.len()
-        });
-        let ends: Vec<usize> = ends.collect();
-        let end = ends.iter().rev().find(|end| exists(&rest[..**end])).or(ends.first());
-        let Some(end) = end else { break };
-        found.push(&rest[..*end]);
-        rest = rest[*end..].trim_ascii_start();
+        let blank = |index: &usize| rest.get(*index).is_none_or(u8::is_ascii_whitespace);
+        let ends: Vec<usize> =
+            (1..=rest.len()).filter(|end| blank(end) && !blank(&(end - 1))).take(WORDS_MAX).collect();
+        let longest = ends.iter().rev().find_map(|end| Some((*end, find(&rest[..*end])?)));
+        let (end, path) = match longest {
+            Some((end, path)) => (end, Some(path)),
+            // There is a first word, since `rest` is trimmed and not empty.
+            None => (ends[0], None),
+        };
+        found.push((&rest[..end], path));
+        rest = rest[end..].trim_ascii_start();
     }
     found
 }
 
 /// Where a library of that name may be: beside the model, under the name as it is, with `\` for `/`, and with
 /// folders dropped (files move from machine to machine with absolute paths in them).
-pub(super) fn library_paths(model: &Path, name: &[u8]) -> Vec<PathBuf> {
+fn candidates(model: &Path, name: &[u8]) -> Vec<PathBuf> {
     let folder = model.parent().unwrap_or(Path::new(""));
     let name = name.strip_prefix(b"\"").and_then(|name| name.strip_suffix(b"\"")).unwrap_or(name);
     let slashes: Vec<u8> = name.iter().map(|byte| if *byte == b'\\' { b'/' } else { *byte }).collect();

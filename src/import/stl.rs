@@ -52,8 +52,8 @@ pub(super) fn read(
 ) -> Result<ImportReport, ImportError> {
     let mut window = Window::new(reader, name, meter);
     let mut feed = Feed::new(sink);
-    let mut materials = Materials::new(name, options, &mut feed.report)?;
-    let material = materials.only(&mut feed)?;
+    let materials = Materials::new(name, options, &mut feed)?;
+    let material = materials.only(&mut feed);
     feed.set_material(material)?;
     window.refill()?;
     if is_text(&window) {

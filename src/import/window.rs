@@ -112,11 +112,6 @@ impl<'a> Window<'a> {
         self.meter.progress(self.offset())
     }
 
-    /// The stream's name, for messages.
-    pub(super) fn name(&self) -> &'a Path {
-        self.name
-    }
-
     /// An error about a line.
     pub(super) fn line_error(&self, line: u64, reason: impl Into<String>) -> ImportError {
         ImportError::Line { path: self.name.to_path_buf(), line, reason: reason.into() }

@@ -60,7 +60,7 @@ impl<'a> Parser<'a> {
         sink: &'a mut dyn MeshSink,
     ) -> Result<Parser<'a>, ImportError> {
         let mut feed = Feed::new(sink);
-        let materials = Materials::new(name, options, &mut feed.report)?;
+        let materials = Materials::new(name, options, &mut feed)?;
         Ok(Parser {
             name,
             feed,

@@ -73,11 +73,11 @@ impl Parser<'_> {
             b"f" | b"fo" => self.face(rest, offset)?,
             b"usemtl" if self.pass == Pass::Vertices => {}
             b"usemtl" => {
-                let material = self.materials.named(rest, self.line, &mut self.feed)?;
+                let material = self.materials.named(rest, self.line, &mut self.feed);
                 self.feed.set_material(material)?;
             }
             b"mtllib" if self.pass == Pass::Vertices => {}
-            b"mtllib" => self.materials.load_named(rest, Some(self.line), &mut self.feed.report),
+            b"mtllib" => self.materials.load_named(rest, Some(self.line), &mut self.feed)?,
             b"vn" => ignored.normals += u64::from(counts),
             b"vt" => ignored.texture_coordinates += u64::from(counts),
             b"l" | b"p" => ignored.lines_and_points += u64::from(counts),

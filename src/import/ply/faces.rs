@@ -1,9 +1,13 @@
 //! The elements `face` and `tristrips`.
 
+use std::ops::Range;
+
 use super::header::{Element, Encoding, Kind, Scalar};
+use super::look::Look;
 use super::values::Values;
 use crate::error::ImportError;
 use crate::import::feed::{BATCH_COUNT, Feed};
+use crate::import::library::Materials;
 use crate::import::polygon::CORNERS_MAX;
 
 /// Where the indices of a face stand in its record.
@@ -32,28 +36,42 @@ fn index_list(element: &Element) -> Result<IndexList, String> {
 pub(super) fn read(
     values: &mut Values<'_, '_>,
     element: &Element,
+    materials: &Materials<'_>,
     feed: &mut Feed<'_>,
 ) -> Result<(), ImportError> {
     if element.count == 0 {
         return Ok(());
     }
     let list = index_list(element).map_err(|reason| values.error(reason))?;
-    let layout = TriangleLayout::of(values.encoding(), element, list);
+    let mut look = Look::of(element, materials, feed);
+    if look.is_none() {
+        let material = materials.only(feed);
+        feed.set_material(material)?;
+    }
+    let layout = TriangleLayout::of(values.encoding(), element, list, look.as_ref());
     let mut corners = Vec::new();
     let mut left = element.count;
     while left > 0 {
         if let Some(layout) = &layout {
-            left -= layout.read(values, left, feed)?;
+            left -= layout.read(values, left, look.as_mut(), materials, feed)?;
             if left == 0 {
                 break;
             }
         }
+        let mut look_values = [0.0; 3];
         for (index, property) in element.properties.iter().enumerate() {
+            let look_index = look.as_ref().and_then(|look| look.index_of(index));
             if index == list.property {
                 read_corners(values, list, feed.vertex_count(), &mut corners)?;
+            } else if let (Some(look_index), Kind::Scalar(scalar)) = (look_index, property.kind) {
+                look_values[look_index] = values.float(scalar)?;
             } else {
                 values.skip_property(property.kind)?;
             }
+        }
+        if let Some(look) = &mut look {
+            let material = look.resolve(look_values, materials, feed)?;
+            feed.set_material(material)?;
         }
         feed.face(&corners)?;
         feed.progress(values.window.progress())?;
@@ -96,12 +114,15 @@ fn vertex(values: &Values<'_, '_>, index: i64, vertex_count: u64) -> Result<u32,
 pub(super) fn read_strips(
     values: &mut Values<'_, '_>,
     element: &Element,
+    materials: &Materials<'_>,
     feed: &mut Feed<'_>,
 ) -> Result<(), ImportError> {
     if element.count == 0 {
         return Ok(());
     }
     let list = index_list(element).map_err(|reason| values.error(reason))?;
+    let material = materials.only(feed);
+    feed.set_material(material)?;
     let vertex_count = feed.vertex_count();
     for _ in 0..element.count {
         for (index, property) in element.properties.iter().enumerate() {
@@ -144,38 +165,60 @@ struct TriangleLayout {
     stride: usize,
     /// Whether indices are signed.
     signed: bool,
+    /// The bytes of a record that tell its material, if they matter.
+    look: Option<Range<usize>>,
 }
 
 /// Records taken at once; few enough that an odd record costs little.
 const RUN_COUNT: usize = 4096;
 
 impl TriangleLayout {
-    fn of(encoding: Encoding, element: &Element, list: IndexList) -> Option<TriangleLayout> {
+    fn of(
+        encoding: Encoding,
+        element: &Element,
+        list: IndexList,
+        look: Option<&Look>,
+    ) -> Option<TriangleLayout> {
         let lists = element.properties.iter().filter(|property| matches!(property.kind, Kind::List { .. }));
         let fits = encoding == Encoding::LittleEndian
             && lists.count() == 1
             && list.count.bytes() == 1
             && matches!(list.item, Scalar::I32 | Scalar::U32);
-        let bytes = |range: &[super::header::Property]| -> usize {
-            range
-                .iter()
-                .map(|property| match property.kind {
-                    Kind::Scalar(scalar) => scalar.bytes(),
-                    Kind::List { .. } => 13,
-                })
-                .sum()
+        if !fits {
+            return None;
+        }
+        let mut stride = 0;
+        let mut offsets = Vec::new();
+        for property in &element.properties {
+            offsets.push(stride);
+            stride += match property.kind {
+                Kind::Scalar(scalar) => scalar.bytes(),
+                Kind::List { .. } => 13,
+            };
+        }
+        let look = match look {
+            Some(look) => Some(look.bytes_in(&offsets)?),
+            None => None,
         };
-        fits.then(|| TriangleLayout {
-            before: bytes(&element.properties[..list.property]),
-            stride: bytes(&element.properties),
+        Some(TriangleLayout {
+            before: offsets[list.property],
+            stride,
             signed: list.item == Scalar::I32,
+            look,
         })
     }
 
     /// Reads triangles until a record is odd (not a triangle, or naming no vertex) or cut off by the end of the
     /// stream, or `count` are read; returns how many. The caller reads the odd one the slow way, which also words
     /// the error.
-    fn read(&self, values: &mut Values<'_, '_>, count: u64, feed: &mut Feed<'_>) -> Result<u64, ImportError> {
+    fn read(
+        &self,
+        values: &mut Values<'_, '_>,
+        count: u64,
+        mut look: Option<&mut Look>,
+        materials: &Materials<'_>,
+        feed: &mut Feed<'_>,
+    ) -> Result<u64, ImportError> {
         let signed_limit = if self.signed { 1 << 31 } else { u64::MAX };
         let limit = feed.vertex_count().min(signed_limit);
         let mut done = 0;
@@ -188,9 +231,17 @@ impl TriangleLayout {
                 }
             }
             let data = values.window.data();
-            let batch = feed.triangles_with_room()?;
             let left = usize::try_from(count - done).unwrap_or(usize::MAX);
-            let take = (data.len() / self.stride).min(BATCH_COUNT - batch.len()).min(RUN_COUNT).min(left);
+            let mut most = (data.len() / self.stride).min(RUN_COUNT).min(left);
+            if let (Some(look), Some(range)) = (&mut look, &self.look) {
+                let mut records = data[..most * self.stride].chunks_exact(self.stride);
+                let bytes = &data[range.clone()];
+                most = records.position(|record| record[range.clone()] != *bytes).unwrap_or(most);
+                let material = look.resolve_bytes(bytes, materials, feed)?;
+                feed.set_material(material)?;
+            }
+            let batch = feed.triangles_with_room()?;
+            let take = most.min(BATCH_COUNT - batch.len());
             let records = &data[..take * self.stride];
             let taken = if self.stride == 13 {
                 take_triangles(records.as_chunks::<13>().0.iter(), limit, batch)

@@ -51,6 +51,23 @@ impl Scalar {
         }
     }
 
+    /// The value in exactly `self.bytes()` little-endian bytes.
+    pub(super) fn little_endian(self, bytes: &[u8]) -> f64 {
+        let mut filled = [0; 8];
+        filled[..bytes.len()].copy_from_slice(bytes);
+        let [a, b, c, d, ..] = filled;
+        match self {
+            Scalar::I8 => f64::from(a as i8),
+            Scalar::U8 => f64::from(a),
+            Scalar::I16 => f64::from(i16::from_le_bytes([a, b])),
+            Scalar::U16 => f64::from(u16::from_le_bytes([a, b])),
+            Scalar::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
+            Scalar::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+            Scalar::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
+            Scalar::F64 => f64::from_le_bytes(filled),
+        }
+    }
+
     /// Whether every value of the type is exact in f32.
     pub(super) fn fits_f32(self) -> bool {
         matches!(self, Scalar::I8 | Scalar::U8 | Scalar::I16 | Scalar::U16 | Scalar::F32)

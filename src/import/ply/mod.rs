@@ -6,6 +6,7 @@
 
 mod faces;
 mod header;
+mod look;
 mod values;
 mod vertices;
 
@@ -16,6 +17,7 @@ use self::header::{Element, Header};
 use self::values::Values;
 use super::feed::Feed;
 use super::file::Reopen;
+use super::library::Materials;
 use super::meter::Meter;
 use super::report::{ImportOptions, ImportReport};
 use super::sink::MeshSink;
@@ -50,7 +52,10 @@ pub(super) fn read(
     let mut window = Window::new(reader, name, meter);
     let header = header::read(&mut window)?;
     let mut feed = Feed::new(sink);
-    let _ = options;
+    let mut materials = Materials::new(name, options, &mut feed)?;
+    if let Some(library) = &header.material_library {
+        materials.load_named(library, None, &mut feed)?;
+    }
 
     let vertex_at = header.elements.iter().position(|element| element.name == "vertex");
     let Some(vertex_at) = vertex_at else {
@@ -60,7 +65,7 @@ pub(super) fn read(
         return Err(window.line_error(header.lines, "the header has several elements `vertex`"));
     }
     if header.elements[..vertex_at].iter().all(|element| !has_faces(element)) {
-        body(&mut window, &header, &mut feed, Pass::Whole)?;
+        body(&mut window, &header, &materials, &mut feed, Pass::Whole)?;
         return feed.finish(window.progress());
     }
     let Some(reopen) = reopen else {
@@ -69,12 +74,12 @@ pub(super) fn read(
             "faces come before vertices; import it as a file (not from a stream), so that it can be read twice",
         ));
     };
-    body(&mut window, &header, &mut feed, Pass::Vertices)?;
+    body(&mut window, &header, &materials, &mut feed, Pass::Vertices)?;
     drop(window);
     let (reader, meter) = reopen()?;
     let mut window = Window::new(reader, name, meter);
     let header = header::read(&mut window)?;
-    body(&mut window, &header, &mut feed, Pass::Faces)?;
+    body(&mut window, &header, &materials, &mut feed, Pass::Faces)?;
     feed.finish(window.progress())
 }
 
@@ -95,6 +100,7 @@ enum Pass {
 fn body(
     window: &mut Window<'_>,
     header: &Header,
+    materials: &Materials<'_>,
     feed: &mut Feed<'_>,
     pass: Pass,
 ) -> Result<(), ImportError> {
@@ -118,9 +124,9 @@ fn body(
         } else if pass == Pass::Vertices {
             skip(&mut values, element, feed)?;
         } else if element.name == "face" {
-            faces::read(&mut values, element, feed)?;
+            faces::read(&mut values, element, materials, feed)?;
         } else {
-            faces::read_strips(&mut values, element, feed)?;
+            faces::read_strips(&mut values, element, materials, feed)?;
         }
         // Nothing after the last element that matters is worth reading.
         if pass == Pass::Vertices && element.name == "vertex" {

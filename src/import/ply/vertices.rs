@@ -17,8 +17,8 @@ pub(super) fn read(
     }
     note_ignored(element, feed);
     let mut left = element.count;
-    if let Some((offset, stride)) = contiguous_f32(values.encoding(), element, axes) {
-        left -= read_f32(values, offset, stride, left, feed)?;
+    if let Some(layout) = PositionLayout::of(values.encoding(), element, axes) {
+        left -= layout.read(values, left, feed)?;
     }
     let exact_in_f32 = values.encoding() != Encoding::Ascii && axes.iter().all(|axis| axis.1.fits_f32());
     for _ in 0..left {
@@ -68,63 +68,78 @@ fn note_ignored(element: &Element, feed: &mut Feed<'_>) {
     }
 }
 
-/// Offset and stride of positions that stand as three little-endian f32 in records of one size.
-fn contiguous_f32(
-    encoding: Encoding,
-    element: &Element,
-    axes: [(usize, Scalar); 3],
-) -> Option<(usize, usize)> {
-    let [x, y, z] = axes.map(|axis| axis.0);
-    let stride = element.fixed_bytes()?;
-    let fits = encoding == Encoding::LittleEndian
-        && axes.iter().all(|axis| axis.1 == Scalar::F32)
-        && y == x + 1
-        && z == y + 1;
-    let before = element.properties[..x].iter().map(|property| match property.kind {
-        Kind::Scalar(scalar) => scalar.bytes(),
-        Kind::List { .. } => 0,
-    });
-    fits.then(|| (before.sum(), stride))
-}
-
-/// Reads whole records in bulk as long as the stream gives them; returns how many.
-fn read_f32(
-    values: &mut Values<'_, '_>,
+/// Where positions stand in records of one size.
+#[derive(Clone, Copy, Debug)]
+struct PositionLayout {
     offset: usize,
     stride: usize,
-    count: u64,
-    feed: &mut Feed<'_>,
-) -> Result<u64, ImportError> {
-    let mut done = 0;
-    while done < count {
-        if values.window.data().len() < stride {
-            values.window.refill()?;
-            feed.progress(values.window.progress())?;
-            if values.window.data().len() < stride {
-                break;
-            }
-        }
-        let data = values.window.data();
-        let batch = feed.singles_with_room()?;
-        let left = usize::try_from(count - done).unwrap_or(usize::MAX);
-        let take = (data.len() / stride).min(batch.capacity() - batch.len()).min(left);
-        let records = &data[..take * stride];
-        if stride == 12 {
-            batch.extend(records.as_chunks::<12>().0.iter().map(|record| position(record)));
-        } else {
-            batch.extend(records.chunks_exact(stride).map(|record| position(&record[offset..])));
-        }
-        values.window.consume(take * stride);
-        done += take as u64;
+    scalar: Scalar,
+}
+
+impl PositionLayout {
+    /// Binary little-endian records in which x, y and z stand together, all as f32 or all as f64.
+    fn of(encoding: Encoding, element: &Element, axes: [(usize, Scalar); 3]) -> Option<PositionLayout> {
+        let [x, y, z] = axes.map(|axis| axis.0);
+        let scalar = axes[0].1;
+        let stride = element.fixed_bytes()?;
+        let fits = encoding == Encoding::LittleEndian
+            && matches!(scalar, Scalar::F32 | Scalar::F64)
+            && axes.iter().all(|axis| axis.1 == scalar)
+            && y == x + 1
+            && z == y + 1;
+        let before = element.properties[..x].iter().map(|property| match property.kind {
+            Kind::Scalar(scalar) => scalar.bytes(),
+            Kind::List { .. } => 0,
+        });
+        fits.then(|| PositionLayout { offset: before.sum(), stride, scalar })
     }
-    Ok(done)
+
+    /// Reads whole records in bulk as long as the stream gives them; returns how many.
+    fn read(self, values: &mut Values<'_, '_>, count: u64, feed: &mut Feed<'_>) -> Result<u64, ImportError> {
+        let PositionLayout { offset, stride, scalar } = self;
+        let mut done = 0;
+        while done < count {
+            if values.window.data().len() < stride {
+                values.window.refill()?;
+                feed.progress(values.window.progress())?;
+                if values.window.data().len() < stride {
+                    break;
+                }
+            }
+            let data = values.window.data();
+            let left = usize::try_from(count - done).unwrap_or(usize::MAX);
+            let mut take = (data.len() / stride).min(left);
+            if scalar == Scalar::F64 {
+                for record in data[..take * stride].chunks_exact(stride) {
+                    feed.vertex64(position64(&record[offset..]))?;
+                }
+            } else {
+                let batch = feed.singles_with_room()?;
+                take = take.min(batch.capacity() - batch.len());
+                let records = &data[..take * stride];
+                if stride == 12 {
+                    batch.extend(records.as_chunks::<12>().0.iter().map(|record| position32(record)));
+                } else {
+                    batch.extend(records.chunks_exact(stride).map(|record| position32(&record[offset..])));
+                }
+            }
+            values.window.consume(take * stride);
+            done += take as u64;
+        }
+        Ok(done)
+    }
 }
 
 /// Three little-endian f32.
 #[inline]
-fn position(bytes: &[u8]) -> [f32; 3] {
-    std::array::from_fn(|axis| {
-        let at = axis * 4;
-        f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
-    })
+fn position32(bytes: &[u8]) -> [f32; 3] {
+    let (words, _) = bytes.as_chunks::<4>();
+    [words[0], words[1], words[2]].map(f32::from_le_bytes)
+}
+
+/// Three little-endian f64.
+#[inline]
+fn position64(bytes: &[u8]) -> [f64; 3] {
+    let (words, _) = bytes.as_chunks::<8>();
+    [words[0], words[1], words[2]].map(f64::from_le_bytes)
 }
