@@ -2,8 +2,8 @@
 //! that hold the only epsilons, exact predicates, and the global lattice.
 
 mod aabb;
-mod degenerate;
 mod double;
+mod degenerate;
 mod expansion;
 mod float;
 mod frame;

@@ -9,7 +9,6 @@ mod frame;
 mod lazy;
 mod node;
 mod options;
-mod touched;
 
 pub use lazy::LazyOctree;
 pub use options::{LeafLayout, OctreeOptions, Tier};

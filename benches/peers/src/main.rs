@@ -1,0 +1,155 @@
+//! Traces the same rays, and does the same whole jobs, with outcrop, with Embree 3 and with `obvhs`.
+//!
+//!     cargo run --release -- rates MODEL.ply [--rays 1024] [--repetitions 7] [--without obvhs]
+//!     cargo run --release -- whole MODEL.ply [--repetitions 3]
+//!     cargo run --release -- leaks [--rays 100000]
+
+mod clock;
+#[cfg(embree)]
+mod embree;
+mod engine;
+#[cfg(embree)]
+mod leaks;
+mod mesh;
+mod obvhs_engine;
+mod outcrop_engine;
+mod picture;
+mod rates;
+mod rays;
+#[cfg(embree)]
+mod whole;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use lexopt::prelude::*;
+
+use engine::Engine;
+use mesh::Mesh;
+use outcrop::octree::Tier;
+use outcrop::units::Bytes;
+
+const USAGE: &str = "\
+usage: outcrop-peers rates MODEL.ply [--rays EDGE] [--repetitions N] [--without NAME]
+       outcrop-peers whole MODEL.ply [--repetitions N]
+       outcrop-peers leaks [--rays N]";
+
+#[cfg(not(embree))]
+const NO_EMBREE: &str = "Embree 3 was not found when this program was built, and without it there is nothing to \
+    compare with. On Debian and Ubuntu: apt-get install libembree-dev; elsewhere set EMBREE_LIB_DIR to the folder \
+    of libembree3.so. Then build again.";
+
+/// What the command line says.
+struct Arguments {
+    command: String,
+    paths: Vec<PathBuf>,
+    rays: Option<usize>,
+    repetitions: Option<usize>,
+    without: Vec<String>,
+}
+
+fn main() -> ExitCode {
+    match arguments().and_then(|arguments| run(&arguments)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("{message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn arguments() -> Result<Arguments, String> {
+    let mut arguments = Arguments {
+        command: String::new(),
+        paths: Vec::new(),
+        rays: None,
+        repetitions: None,
+        without: Vec::new(),
+    };
+    let mut parser = lexopt::Parser::from_env();
+    let text = |error: lexopt::Error| format!("{error}\n{USAGE}");
+    while let Some(argument) = parser.next().map_err(text)? {
+        match argument {
+            Long("rays") => arguments.rays = Some(parser.value().and_then(|v| v.parse()).map_err(text)?),
+            Long("repetitions") => {
+                arguments.repetitions = Some(parser.value().and_then(|v| v.parse()).map_err(text)?);
+            }
+            Long("without") => arguments.without.push(parser.value().and_then(|v| v.string()).map_err(text)?),
+            Value(command) if arguments.command.is_empty() => {
+                arguments.command = command.string().map_err(text)?;
+            }
+            Value(path) => arguments.paths.push(path.into()),
+            other => return Err(text(other.unexpected())),
+        }
+    }
+    Ok(arguments)
+}
+
+#[cfg(not(embree))]
+fn run(_: &Arguments) -> Result<(), String> {
+    Err(NO_EMBREE.to_string())
+}
+
+#[cfg(embree)]
+fn run(arguments: &Arguments) -> Result<(), String> {
+    if let ("job", [name, model, output, compiled]) = (arguments.command.as_str(), arguments.paths.as_slice())
+    {
+        return whole::job(&name.to_string_lossy(), model, output, compiled);
+    }
+    println!("Embree {}", embree::Embree::version().ok_or("Embree does not start on this machine")?);
+    match (arguments.command.as_str(), arguments.paths.as_slice()) {
+        ("rates", [model]) => compare_rates(arguments, model),
+        ("whole", [model]) => whole::run(model, arguments.repetitions.unwrap_or(3).max(1)),
+        ("leaks", []) => leaks::run(arguments.rays.unwrap_or(100_000)),
+        _ => Err(USAGE.to_string()),
+    }
+}
+
+#[cfg(embree)]
+fn compare_rates(arguments: &Arguments, model: &std::path::Path) -> Result<(), String> {
+    use embree::{Embree, Mode};
+
+    let mut mesh = Mesh::read(model).map_err(|error| error.to_string())?;
+    Embree::pad(&mut mesh);
+    let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+    let compiled = folder.path().join("model.outcrop");
+    let report = build("outcrop: compile", || outcrop_engine::compile(model, &compiled, Bytes::mib(512)))?;
+    println!("outcrop: {} blocks, {:.2} bytes per triangle", report.blocks, report.bytes_per_triangle);
+    // Room for every block.
+    let open = |tier| outcrop_engine::open(&compiled, Bytes(16 << 30), tier);
+    let (certified, fast) = (open(Tier::Certified)?, open(Tier::Fast)?);
+    let wanted = |name: &str| !arguments.without.iter().any(|without| name.contains(without.as_str()));
+    let mut engines: Vec<Box<dyn Engine + '_>> = Vec::new();
+    for mode in [
+        Mode::DEFAULT,
+        Mode::ROBUST,
+        Mode::DEFAULT.in_packets("Embree default, packets of 8"),
+        Mode::COMPACT_LOW,
+    ] {
+        // The first is what the others are compared with.
+        if engines.is_empty() || wanted(mode.name) {
+            engines.push(Box::new(build(mode.name, || Embree::new(&mesh, mode))?));
+        }
+    }
+    if wanted("obvhs") {
+        engines.push(Box::new(build("obvhs", || Ok(obvhs_engine::Obvhs::new(&mesh)))?));
+    }
+    for (name, octree) in [("outcrop certified", &certified), ("outcrop fast", &fast)] {
+        engines.push(Box::new(outcrop_engine::Outcrop::new(name, octree)?));
+    }
+    let settings = rates::Settings {
+        size: arguments.rays.unwrap_or(1024),
+        repetitions: arguments.repetitions.unwrap_or(7).max(1),
+    };
+    rates::run(model, &mesh, &mut engines, &settings);
+    Ok(())
+}
+
+/// Builds a tracer and says what that took.
+#[cfg(embree)]
+fn build<E>(name: &str, make: impl FnOnce() -> Result<E, String>) -> Result<E, String> {
+    let mut made = Err(String::new());
+    let seconds = clock::measure(|| made = make());
+    println!("{name}: built in {seconds:.2} CPU s");
+    made
+}

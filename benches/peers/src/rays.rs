@@ -1,0 +1,214 @@
+//! The rays that all tracers get: numbers that are exact in f32, so that nobody rounds them differently.
+
+use outcrop::geom::Ray;
+
+use crate::engine::{Engine, Found, Surface};
+use crate::mesh::Mesh;
+
+/// Edge length of the tiles in which an image is traced. Rays of a tile are neighbours in memory.
+const TILE: usize = 32;
+pub const RAYS_PER_CALL: usize = TILE * TILE;
+
+/// The standard view of the gears family.
+pub const EYE: [f64; 3] = [-1.1, -2.1, 2.6];
+pub const LIGHTS: [[f64; 3]; 5] =
+    [[2.0, 4.0, 4.0], [-2.0, 4.0, 3.0], [2.0, -2.5, 2.5], [-1.0, -4.0, 2.0], [-1.111, -2.121, 2.626]];
+pub const VERTICAL_FIELD_DEGREES: f64 = 45.0;
+
+/// A ray in f32, the form that the peers take.
+#[derive(Clone, Copy, Debug)]
+pub struct Ray32 {
+    pub origin: [f32; 3],
+    pub direction: [f32; 3],
+    pub t_max: f32,
+}
+
+/// The same rays in both forms, made before anything is timed.
+#[derive(Default)]
+pub struct Rays {
+    pub single: Vec<Ray32>,
+    pub double: Vec<Ray>,
+}
+
+impl Rays {
+    /// Rounds to f32 first, so that both forms are the same numbers.
+    pub fn push(&mut self, origin: [f64; 3], direction: [f64; 3], t_max: f64) {
+        let single = Ray32 {
+            origin: origin.map(|x| x as f32),
+            direction: direction.map(|x| x as f32),
+            t_max: t_max as f32,
+        };
+        self.single.push(single);
+        self.double.push(Ray {
+            origin: single.origin.map(f64::from),
+            direction: single.direction.map(f64::from),
+            t_min: 0.0,
+            t_max: f64::from(single.t_max),
+        });
+    }
+
+    /// Keeps the f64 form as it is; the f32 form is rounded.
+    pub fn push_unrounded(&mut self, origin: [f64; 3], direction: [f64; 3]) {
+        self.single.push(Ray32 {
+            origin: origin.map(|x| x as f32),
+            direction: direction.map(|x| x as f32),
+            t_max: f32::INFINITY,
+        });
+        self.double.push(Ray::new(origin, direction));
+    }
+
+    pub fn len(&self) -> usize {
+        self.single.len()
+    }
+
+    /// `0 .. len` in pieces of one call each.
+    pub fn calls(&self) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
+        let len = self.len();
+        (0..len).step_by(RAYS_PER_CALL).map(move |start| start..len.min(start + RAYS_PER_CALL))
+    }
+}
+
+fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// `a + s * b`
+fn add(a: [f64; 3], s: f64, b: [f64; 3]) -> [f64; 3] {
+    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
+}
+
+pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+pub fn unit(a: [f64; 3]) -> [f64; 3] {
+    let length = dot(a, a).sqrt();
+    a.map(|x| x / length)
+}
+
+/// One ray through each pixel's centre of the standard view, `size` x `size`, tile by tile, with its pixel.
+pub fn primary(size: usize) -> (Rays, Vec<[usize; 2]>) {
+    let forward = unit(sub([0.0; 3], EYE));
+    let right = unit(cross(forward, [0.0, 0.0, 1.0]));
+    let up = cross(right, forward);
+    let half = (0.5 * VERTICAL_FIELD_DEGREES.to_radians()).tan();
+    let (mut rays, mut pixels) = (Rays::default(), Vec::new());
+    for tile_y in (0..size).step_by(TILE) {
+        for tile_x in (0..size).step_by(TILE) {
+            for y in tile_y..size.min(tile_y + TILE) {
+                for x in tile_x..size.min(tile_x + TILE) {
+                    let across = |pixel: usize| half * (2.0 * (pixel as f64 + 0.5) / size as f64 - 1.0);
+                    let direction = add(add(forward, across(x), right), -across(y), up);
+                    rays.push(EYE, unit(direction), f64::INFINITY);
+                    pixels.push([x, y]);
+                }
+            }
+        }
+    }
+    (rays, pixels)
+}
+
+/// Where a ray hit, lifted off the surface towards where it came from, and the unit normal on that side.
+pub struct Lifted {
+    pub origin: [f64; 3],
+    pub normal: [f64; 3],
+}
+
+/// `None` for a miss and for a triangle too thin to have a normal.
+fn lift(mesh: &Mesh, ray: &Ray, found: Found) -> Option<Lifted> {
+    if !found.is_hit() {
+        return None;
+    }
+    let [a, b, c] = mesh.corners(found.triangle).map(|corner| corner.map(f64::from));
+    lift_surface(ray, Surface { t: found.t, normal: cross(sub(b, a), sub(c, a)) })
+}
+
+/// `None` for a triangle too thin to have a normal.
+pub fn lift_surface(ray: &Ray, surface: Surface) -> Option<Lifted> {
+    let normal = unit(surface.normal);
+    if !normal[0].is_finite() {
+        return None;
+    }
+    let facing = if dot(normal, ray.direction) > 0.0 { normal.map(|x| -x) } else { normal };
+    Some(Lifted { origin: add(ray.at(surface.t), 1e-4, facing), normal: facing })
+}
+
+/// From every hit to each light, unless the surface faces away.
+pub fn shadow(mesh: &Mesh, primary: &Rays, found: &[Found]) -> Rays {
+    let mut rays = Rays::default();
+    for (ray, found) in primary.double.iter().zip(found) {
+        let Some(lifted) = lift(mesh, ray, *found) else { continue };
+        for light in LIGHTS {
+            let direction = sub(light, lifted.origin);
+            if dot(direction, lifted.normal) > 0.0 {
+                rays.push(lifted.origin, direction, 1.0);
+            }
+        }
+    }
+    rays
+}
+
+/// One cosine-distributed ray from every hit; the same ones in every run.
+pub fn bounce(mesh: &Mesh, primary: &Rays, found: &[Found]) -> Rays {
+    let mut rays = Rays::default();
+    let mut random = Random(0x0a07_c209);
+    for (ray, found) in primary.double.iter().zip(found) {
+        // Drawn for misses too, so that one tracer's different hit does not change all rays that follow.
+        let (angle, radius2) = (std::f64::consts::TAU * random.unit(), random.unit());
+        let Some(lifted) = lift(mesh, ray, *found) else { continue };
+        let normal = lifted.normal;
+        let helper = if normal[0].abs() < 0.5 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
+        let tangent = unit(cross(normal, helper));
+        let bitangent = cross(normal, tangent);
+        let radius = radius2.sqrt();
+        let mut direction = normal.map(|x| x * (1.0 - radius2).sqrt());
+        direction = add(direction, radius * angle.cos(), tangent);
+        direction = add(direction, radius * angle.sin(), bitangent);
+        rays.push(lifted.origin, direction, f64::INFINITY);
+    }
+    rays
+}
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut x = self.0;
+        x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        x ^ x >> 31
+    }
+
+    /// In 0 .. 1.
+    pub fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 * 2f64.powi(-53)
+    }
+
+    pub fn below(&mut self, count: usize) -> usize {
+        (self.unit() * count as f64) as usize
+    }
+}
+
+/// All closest hits, call by call.
+pub fn trace_closest(engine: &mut dyn Engine, rays: &Rays) -> Vec<Found> {
+    let mut found = vec![Found::NONE; rays.len()];
+    for range in rays.calls() {
+        engine.closest(rays, range.clone(), &mut found[range]);
+    }
+    found
+}
+
+/// All occlusions, call by call.
+pub fn trace_occluded(engine: &mut dyn Engine, rays: &Rays) -> Vec<bool> {
+    let mut blocked = vec![false; rays.len()];
+    for range in rays.calls() {
+        engine.occluded(rays, range.clone(), &mut blocked[range]);
+    }
+    blocked
+}
