@@ -51,3 +51,8 @@ pub use budget::MemoryBudget;
 pub use cache::GeometryCache;
 pub use octree::LazyOctree;
 pub use source::BlockSource;
+
+/// The README's code compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct ReadmeDoctests;

@@ -63,15 +63,16 @@ pub enum PrecisionChoice {
 /// not count: nothing could meet a bound of zero.
 pub const AUTO_TOLERANCE: f64 = 1e-4;
 
-/// Which threads a compile may use. The compiled file is the same, byte for byte, for any choice.
+/// Which threads a compile or a render may use. The result is the same, byte for byte, for any choice.
 #[derive(Clone, Debug, Default)]
 pub enum Threads {
     /// The calling thread only.
     #[default]
     One,
-    /// The calling thread and a pool of this many threads, made for the compile (0 and 1 mean [`Threads::One`]).
+    /// This many threads, made for the job and ended with it: a compile has them beside the calling thread, a render
+    /// counts the calling thread among them. 0 and 1 mean [`Threads::One`].
     Count(usize),
-    /// The caller's pool. The compile must not be started from one of its threads.
+    /// The caller's pool. The job must not be started from one of its threads.
     Pool(Arc<rayon::ThreadPool>),
 }
 
@@ -104,7 +105,8 @@ pub struct Progress {
 pub enum Control {
     /// Go on.
     Continue,
-    /// Stop with [`CompileError::Cancelled`](crate::error::CompileError::Cancelled), leaving nothing behind.
+    /// Stop soon. A compile ends with [`CompileError::Cancelled`](crate::error::CompileError::Cancelled) and leaves
+    /// nothing behind; a render gives the tiles that are finished.
     Cancel,
 }
 

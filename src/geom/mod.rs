@@ -2,8 +2,8 @@
 //! that hold the only epsilons, exact predicates, and the global lattice.
 
 mod aabb;
-mod double;
 mod degenerate;
+mod double;
 mod expansion;
 mod float;
 mod frame;

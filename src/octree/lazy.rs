@@ -7,6 +7,7 @@ use super::build::BuildScratch;
 use super::coarse::CoarseTree;
 use super::fine::FineLayout;
 use super::frame::Frame;
+use super::touched::TouchedBlocks;
 use super::{LeafLayout, OctreeOptions, Tier};
 use crate::block::{BlockData, DecodeScratch};
 use crate::budget::{MemoryBudget, Reservation};
@@ -34,6 +35,7 @@ pub struct LazyOctree {
     pub(crate) level: SimdLevel,
     pub(crate) tier: Tier,
     pub(crate) budget: MemoryBudget,
+    pub(crate) touched: TouchedBlocks,
     tracers_max: u32,
     tracer_count: AtomicU32,
     _directory: Reservation,
@@ -181,6 +183,12 @@ impl LazyOctree {
         }
     }
 
+    /// How many distinct blocks were brought in since the octree was opened: without a warm cache, those that a ray
+    /// entered. Does not depend on cache size, load order or threads.
+    pub fn blocks_touched(&self) -> u64 {
+        self.touched.count()
+    }
+
     /// How many tracers may live at once.
     pub fn tracers_max(&self) -> u32 {
         self.tracers_max
@@ -216,7 +224,10 @@ impl Parts {
         options: &OctreeOptions,
     ) -> Result<Parts, TraceError> {
         let model = Arc::clone(source.model());
-        let directory = budget.reserve(model.resident_bytes(), "the model's directory and materials")?;
+        let directory = budget.reserve(
+            Bytes(model.resident_bytes().0 + TouchedBlocks::bytes_needed(model.blocks.len()).0),
+            "the model's directory and materials",
+        )?;
         let level = match options.simd {
             Some(level) => level.min(SimdLevel::best()),
             None => SimdLevel::best(),
@@ -240,6 +251,7 @@ impl Parts {
     ) -> LazyOctree {
         LazyOctree {
             source,
+            touched: TouchedBlocks::new(self.model.blocks.len()),
             model: self.model,
             cache,
             coarse: self.coarse,

@@ -9,6 +9,7 @@ mod frame;
 mod lazy;
 mod node;
 mod options;
+mod touched;
 
 pub use lazy::LazyOctree;
 pub use options::{LeafLayout, OctreeOptions, Tier};

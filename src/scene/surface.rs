@@ -1,21 +1,21 @@
 //! From the material record of the compiled file to the terms that shading uses.
-//!
-//! The mapping (MTL names in brackets), with opacity `d` clamped to 0 ..= 1:
-//!
-//! | term | value | meaning |
-//! |---|---|---|
-//! | diffuse | `d Kd` | Lambert, per light and for ambient light, on the side that is seen |
-//! | highlight | `Ks`, exponent `Ns` | Blinn: `Ks (n . h)^Ns` per light; not weakened by transparency, as glass keeps its highlights |
-//! | mirror | `d min(Ks, 1)` if `illum >= 3` | reflects the scene |
-//! | transmission | `1 - d` | the share that enters. If `Ni` is not 1, Fresnel's equations split it into a reflected and a refracted part that add up to it; if `Ni` is 1, all of it passes straight on |
-//! | absorption | `-ln Tf` | Beer-Lambert, per unit of length inside (the segment that ends at the surface from behind) |
-//!
-//! `d min(Ks, 1) + (1 - d) <= 1` in each channel: no surface sends on more than it gets. The renderer's bound on
-//! radiance rests on this.
 
 use crate::model::MaterialRecord;
 
-/// Shading terms of a material, derived once per render. All numbers are finite and not negative.
+/// Shading terms of a material, derived once per render.
+///
+/// The mapping (MTL names in brackets), with opacity `d` clamped to 0 ..= 1:
+///
+/// | term | value | meaning |
+/// |---|---|---|
+/// | diffuse | `d Kd` | Lambert, per light and for ambient light, on the side that is seen |
+/// | highlight | `Ks`, exponent `Ns` | Blinn: `Ks (n . h)^Ns` per light; not weakened by transparency, as glass keeps its highlights |
+/// | mirror | `d min(Ks, 1)` if `illum >= 3` | reflects the scene |
+/// | transmission | `1 - d` | the share that enters. If `Ni` is not 1, Fresnel's equations split it into a reflected and a refracted part that add up to it; if `Ni` is 1, all of it passes straight on |
+/// | absorption | `-ln Tf` | Beer-Lambert, per unit of length inside (the segment that ends at the surface from behind) |
+///
+/// `d min(Ks, 1) + (1 - d) <= 1` in each channel: no surface sends on more than it gets. The renderer's bound on
+/// radiance rests on this. All numbers are finite and not negative.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
     /// Emitted radiance.
@@ -40,7 +40,7 @@ impl Surface {
     /// Largest absorption coefficient: `Tf` of zero means opaque within a unit, not a product of 0 and infinity.
     const ABSORPTION_MAX: f64 = 64.0;
 
-    /// Derives the terms as the module's table says. Numbers that make no sense (negative, not finite) count as 0,
+    /// Derives the terms as the type's table says. Numbers that make no sense (negative, not finite) count as 0,
     /// a missing refractive index as 1.
     pub fn from_record(record: &MaterialRecord) -> Surface {
         let opacity =

@@ -41,6 +41,7 @@ impl LoadScratch {
         octree.source.read_block(block, &mut self.stored)?;
         octree.model.decode_block(block, &self.stored, &mut self.decode, &mut self.data)?;
         build(octree.level, &self.data, octree.layout, slot, &mut self.build);
+        octree.touched.insert(block);
         counters.blocks_loaded += 1;
         counters.bytes_read += self.stored.len() as u64;
         counters.triangles_decoded += self.data.triangles.len() as u64;

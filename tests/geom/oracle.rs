@@ -104,7 +104,7 @@ impl Exact {
             let (m, e) = parts(weight);
             assert!(e > -1100);
             let scaled_edge = edge << 1100;
-            abs((m * &self.determinant << (e + 1100) as usize) - scaled_edge) << bits
+            abs(((m * &self.determinant) << (e + 1100) as usize) - scaled_edge) << bits
                 <= abs(self.determinant.clone()) << 1100
         })
     }

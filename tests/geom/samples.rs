@@ -90,7 +90,7 @@ fn to_f32(triangle: Triangle) -> Triangle {
 }
 
 /// The families of [`sample`], by name.
-pub const FAMILIES: [&str; 16] = [
+pub const FAMILIES: [&str; 17] = [
     "random",
     "f32 vertices",
     "exact hits of vertices and edges",
@@ -107,6 +107,7 @@ pub const FAMILIES: [&str; 16] = [
     "extreme lattices",
     "needles of every width at every slope",
     "needles in their own plane",
+    "a hair off a slanted plane",
 ];
 
 /// A ray and a triangle of a family. All inside the proven domain.
@@ -262,6 +263,19 @@ pub fn sample(family: usize, random: &mut Random) -> (Ray, Triangle) {
             }
             let distance = 2f64.powi(random.below(12) as i32 - 2);
             (Ray::new(along(target, -distance, direction), direction), triangle)
+        }
+        16 => {
+            // The plane y = 3 x, exactly, with z of full mantissa; the origin 2^-80 of the triangle's size off it.
+            let corner = |random: &mut Random, x: f64, z: f64| {
+                let x = (2f64.powi(40) * (x + 0.1 * random.signed())).round();
+                [x, 3.0 * x, 2f64.powi(40) * (z + 0.1 * random.signed())]
+            };
+            let corners = [(1.0, 0.0), (-0.5, 0.8), (-0.5, -0.8)];
+            let triangle = corners.map(|(x, z)| corner(random, x, z));
+            let x = random.integers(1 << 20)[0] * 2f64.powi(-20);
+            let off = 2f64.powi(-(random.below(50) as i32));
+            let origin = [x, 3.0 * x + off, random.signed()];
+            (Ray::new(origin, [random.signed(), -4.0, random.signed()]), triangle)
         }
         _ => {
             let exponent = [-200, -100, 0, 100, 200][random.below(5) as usize];

@@ -1,0 +1,195 @@
+//! Puts octree, scene and settings together.
+
+use std::time::Instant;
+
+use super::film::Film;
+use super::query::RayQuery;
+use super::report::{Outcome, RenderReport};
+use super::settings::RenderSettings;
+use super::stage::Stage;
+use super::workers::{self, ProgressFn, Totals};
+use super::{Progress, paths};
+use crate::budget::MemoryBudget;
+use crate::cache::CacheStats;
+use crate::compile::{Control, Threads};
+use crate::error::{RenderError, TraceError};
+use crate::model::Model;
+use crate::octree::LazyOctree;
+use crate::scene::{EffectPlan, Scene};
+use crate::units::Bytes;
+
+/// A picture and what making it took.
+#[derive(Debug)]
+pub struct RenderedImage {
+    /// The picture; after a cancel some tiles are black and marked as not finished.
+    pub film: Film,
+    /// What was done.
+    pub report: RenderReport,
+}
+
+impl RenderedImage {
+    /// The film if it is whole.
+    ///
+    /// # Errors
+    /// [`RenderError::Cancelled`] if the render was cancelled before its end.
+    pub fn into_complete(self) -> Result<Film, RenderError> {
+        match self.report.outcome {
+            Outcome::Complete => Ok(self.film),
+            Outcome::Cancelled => Err(RenderError::Cancelled),
+        }
+    }
+}
+
+/// Renders pictures of one scene through one octree.
+pub struct Renderer<'a> {
+    octree: &'a LazyOctree,
+    stage: Stage,
+    plan: EffectPlan,
+    budget: MemoryBudget,
+}
+
+impl<'a> Renderer<'a> {
+    /// A renderer for `scene` over the geometry of `octree`. Checks scene and settings and makes the
+    /// [`EffectPlan`]; memory is taken from `budget` only while [`Renderer::render`] runs.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] for a scene or settings that make no sense.
+    pub fn new(
+        octree: &'a LazyOctree,
+        scene: &Scene,
+        settings: &RenderSettings,
+        budget: &MemoryBudget,
+    ) -> Result<Renderer<'a>, RenderError> {
+        let (stage, plan) = set(scene, octree.model(), settings)?;
+        Ok(Renderer { octree, stage, plan, budget: budget.clone() })
+    }
+
+    /// What a render on `threads` takes from the budget for film, ray trees and tables. An octree opened without
+    /// a limit takes all that is left for its cache, so reserve this before, and drop that reservation after.
+    ///
+    /// # Errors
+    /// As for [`Renderer::new`].
+    pub fn bytes_needed(
+        scene: &Scene,
+        model: &Model,
+        settings: &RenderSettings,
+        threads: &Threads,
+    ) -> Result<Bytes, RenderError> {
+        let (stage, _) = set(scene, model, settings)?;
+        Ok(memory(&stage, threads).total())
+    }
+
+    /// The effects that will be simulated, and why.
+    pub fn plan(&self) -> &EffectPlan {
+        &self.plan
+    }
+
+    /// Makes the picture on `threads`. `progress` is called after each batch of samples, by one thread at a time;
+    /// answering [`Control::Cancel`] ends the render soon and gives the tiles finished so far.
+    ///
+    /// # Errors
+    /// [`RenderError::Budget`] if film and scratch do not fit, [`RenderError::Trace`] if a block cannot be brought
+    /// in. There is no picture then.
+    pub fn render(
+        &self,
+        threads: &Threads,
+        progress: &mut (dyn FnMut(Progress) -> Control + Send),
+    ) -> Result<RenderedImage, RenderError> {
+        let cache_before = self.octree.cache().stats();
+        let picture = picture(&self.stage, threads, &self.budget, &|| self.octree.tracer(), progress)?;
+        let Picture { film, totals, wall_seconds, memory } = picture;
+        let settings = &self.stage.settings;
+        let report = RenderReport {
+            outcome: if totals.is_cancelled && !film.is_complete() {
+                Outcome::Cancelled
+            } else {
+                Outcome::Complete
+            },
+            width: settings.width,
+            height: settings.height,
+            samples_per_pixel: settings.samples_per_pixel,
+            threads: workers::worker_count(threads) as u32,
+            tiles_total: self.stage.grid.tile_count() as u32,
+            tiles_finished: totals.tiles,
+            wall_seconds,
+            seconds: totals.seconds,
+            plan: self.plan.clone(),
+            effects: totals.effects,
+            trace: totals.trace,
+            cache: since(&cache_before, &self.octree.cache().stats()),
+            blocks_touched: self.octree.blocks_touched(),
+            blocks_total: self.octree.model().blocks.len() as u64,
+            memory,
+            budget_peak: self.budget.peak(),
+        };
+        Ok(RenderedImage { film, report })
+    }
+}
+
+/// A picture before it is reported on.
+pub(super) struct Picture {
+    pub film: Film,
+    pub totals: Totals,
+    pub wall_seconds: f64,
+    pub memory: Bytes,
+}
+
+/// Checks scene and settings and brings them into the form that rendering wants.
+pub(super) fn set(
+    scene: &Scene,
+    model: &Model,
+    settings: &RenderSettings,
+) -> Result<(Stage, EffectPlan), RenderError> {
+    scene.validate()?;
+    settings.validate()?;
+    let plan = EffectPlan::scan(scene, model, &settings.effect_options());
+    Ok((Stage::new(scene, &model.materials, &plan, settings), plan))
+}
+
+/// Renders `stage` through queries from `make_query`.
+pub(super) fn picture<Q: RayQuery>(
+    stage: &Stage,
+    threads: &Threads,
+    budget: &MemoryBudget,
+    make_query: &(dyn Fn() -> Result<Q, TraceError> + Sync),
+    progress: &mut ProgressFn<'_>,
+) -> Result<Picture, RenderError> {
+    let start = Instant::now();
+    let needed = memory(stage, threads);
+    let _scratch = budget.reserve(needed.scratch, "the renderer's ray trees and tiles")?;
+    let mut film = Film::new(&stage.grid, budget)?;
+    let order = stage.grid.hilbert_order();
+    let totals = workers::run(stage, &order, &mut film, threads, make_query, progress)?;
+    Ok(Picture { film, totals, wall_seconds: start.elapsed().as_secs_f64(), memory: needed.total() })
+}
+
+/// What a render takes from the budget.
+struct Memory {
+    film: Bytes,
+    scratch: Bytes,
+}
+
+impl Memory {
+    fn total(&self) -> Bytes {
+        Bytes(self.film.0 + self.scratch.0)
+    }
+}
+
+fn memory(stage: &Stage, threads: &Threads) -> Memory {
+    let per_thread = paths::bytes_needed(stage) + workers::tile_bytes(stage);
+    let scratch = per_thread as u64 * workers::worker_count(threads) as u64
+        + stage.bytes() as u64
+        + stage.grid.order_bytes().0;
+    Memory { film: Film::bytes_needed(&stage.grid), scratch: Bytes(scratch) }
+}
+
+/// What happened between two looks at the same cache.
+fn since(before: &CacheStats, after: &CacheStats) -> CacheStats {
+    CacheStats {
+        hits: after.hits - before.hits,
+        misses: after.misses - before.misses,
+        evictions: after.evictions - before.evictions,
+        stalls: after.stalls - before.stalls,
+        filled_bytes: after.filled_bytes - before.filled_bytes,
+    }
+}

@@ -1,0 +1,203 @@
+//! Shadow rays in batches: what stands between a point and a lamp, and what shines through.
+
+use glam::DVec3;
+
+use super::counters::EffectCounters;
+use super::optics::absorb;
+use super::query::RayQuery;
+use super::stage::Stage;
+use crate::error::TraceError;
+use crate::geom::Ray;
+use crate::trace::{Hit, Occlusion};
+use crate::units::TriangleId;
+
+/// Light that reaches a sample unless something stands in its way.
+#[derive(Clone, Copy, Debug)]
+struct Claim {
+    slot: u32,
+    contribution: DVec3,
+}
+
+/// A shadow ray on its way through transparent surfaces.
+#[derive(Clone, Copy, Debug)]
+struct Walker {
+    claim: u32,
+    transmittance: DVec3,
+    /// The surface that was passed last.
+    last: Option<Hit>,
+}
+
+/// Claims of one batch of points. They are added to their samples in the order in which they came, so that neither
+/// the batch nor a walk through glass shows in the sum (I2).
+#[derive(Debug)]
+pub(crate) struct ShadowBatch {
+    capacity: usize,
+    rays: Vec<Ray>,
+    claims: Vec<Claim>,
+    occlusion: Vec<Occlusion>,
+    walkers: Vec<Walker>,
+    walk_rays: Vec<Ray>,
+    walk_after: Vec<(f64, TriangleId)>,
+    walk_hits: Vec<Option<Hit>>,
+}
+
+impl ShadowBatch {
+    pub fn new(capacity: usize, with_walks: bool) -> ShadowBatch {
+        let walks = if with_walks { capacity } else { 0 };
+        ShadowBatch {
+            capacity,
+            rays: Vec::with_capacity(capacity),
+            claims: Vec::with_capacity(capacity),
+            occlusion: vec![Occlusion::Clear; capacity],
+            walkers: Vec::with_capacity(walks),
+            walk_rays: Vec::with_capacity(walks),
+            walk_after: Vec::with_capacity(walks),
+            walk_hits: vec![None; walks],
+        }
+    }
+
+    /// What [`ShadowBatch::new`] allocates.
+    pub fn bytes_needed(capacity: usize, with_walks: bool) -> usize {
+        let claim = size_of::<Ray>() + size_of::<Claim>() + size_of::<Occlusion>();
+        let walk = size_of::<Walker>()
+            + size_of::<Ray>()
+            + size_of::<(f64, TriangleId)>()
+            + size_of::<Option<Hit>>();
+        capacity * (claim + if with_walks { walk } else { 0 })
+    }
+
+    pub fn is_full(&self) -> bool {
+        self.claims.len() == self.capacity
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.claims.is_empty()
+    }
+
+    /// Adds a claim of the sample in `slot`.
+    ///
+    /// # Panics
+    /// If the batch is full, in builds with debug assertions.
+    pub fn push(&mut self, slot: u32, contribution: DVec3, ray: Ray) {
+        debug_assert!(!self.is_full());
+        self.rays.push(ray);
+        self.claims.push(Claim { slot, contribution });
+    }
+
+    /// Answers all claims, adds what reaches `radiance`, and is empty again.
+    pub fn resolve(
+        &mut self,
+        stage: &Stage,
+        query: &mut impl RayQuery,
+        radiance: &mut [DVec3],
+        counters: &mut EffectCounters,
+    ) -> Result<(), TraceError> {
+        let count = self.claims.len();
+        let occlusion = &mut self.occlusion[..count];
+        query.occluded(&self.rays, stage.transparent.as_ref(), occlusion)?;
+        counters.shadow_rays += count as u64;
+        // Shadows that are traced only because they are forced must not show.
+        if stage.shadows {
+            for (index, answer) in occlusion.iter().enumerate() {
+                match answer {
+                    Occlusion::Clear => {}
+                    Occlusion::Blocked => self.claims[index].contribution = DVec3::ZERO,
+                    Occlusion::Filtered => {
+                        let claim = index as u32;
+                        self.walkers.push(Walker { claim, transmittance: DVec3::ONE, last: None });
+                    }
+                }
+            }
+            self.walk(stage, query, counters)?;
+        }
+        for claim in &self.claims {
+            radiance[claim.slot as usize] += claim.contribution;
+        }
+        self.rays.clear();
+        self.claims.clear();
+        Ok(())
+    }
+
+    /// Takes every walker from surface to surface, in the order of (t, triangle id), until it is through or too weak.
+    /// Light goes straight: refraction would bend it away from the lamp.
+    fn walk(
+        &mut self,
+        stage: &Stage,
+        query: &mut impl RayQuery,
+        counters: &mut EffectCounters,
+    ) -> Result<(), TraceError> {
+        let mut is_first = true;
+        while !self.walkers.is_empty() {
+            let count = self.walkers.len();
+            self.walk_rays.clear();
+            self.walk_after.clear();
+            for walker in &self.walkers {
+                self.walk_rays.push(self.rays[walker.claim as usize]);
+                self.walk_after.extend(walker.last.map(|hit| (hit.t, hit.triangle)));
+            }
+            let hits = &mut self.walk_hits[..count];
+            if is_first {
+                query.closest_hits(&self.walk_rays, hits)?;
+            } else {
+                query.closest_hits_after(&self.walk_rays, &self.walk_after, hits)?;
+            }
+            is_first = false;
+            counters.shadow_segments += count as u64;
+
+            let (claims, walk_rays) = (&mut self.claims, &self.walk_rays);
+            let mut index = 0;
+            self.walkers.retain_mut(|walker| {
+                let (ray, hit) = (&walk_rays[index], hits[index]);
+                index += 1;
+                let contribution = &mut claims[walker.claim as usize].contribution;
+                let Some(hit) = hit else {
+                    *contribution *= walker.transmittance;
+                    return false;
+                };
+                walker.transmittance *= pass(stage, ray, walker.last.as_ref(), &hit);
+                walker.last = Some(hit);
+                let left = (*contribution * walker.transmittance).max_element();
+                let goes_on = left > stage.settings.contribution_bound;
+                if !goes_on {
+                    counters.contribution_cuts += u64::from(left > 0.0);
+                    *contribution = DVec3::ZERO;
+                }
+                goes_on
+            });
+        }
+        Ok(())
+    }
+}
+
+/// The share of light that gets through the surface at `hit` and through the inside that ends there.
+fn pass(stage: &Stage, ray: &Ray, last: Option<&Hit>, hit: &Hit) -> DVec3 {
+    if last.is_some_and(|last| is_same_crossing(ray, last, hit)) {
+        return DVec3::ONE;
+    }
+    let shader = stage.shader(hit.material);
+    let direction = DVec3::from_array(ray.direction);
+    let mut share = DVec3::splat(shader.transmission);
+    if DVec3::from_array(hit.normal()).dot(direction) > 0.0 {
+        let start = last.map_or(ray.t_min, |last| last.t);
+        share *= absorb(shader.absorption, (hit.t - start) * direction.length());
+    }
+    share
+}
+
+/// Whether two hits in a row are one crossing of one surface that happened to meet the edge or the vertex which two
+/// of its triangles share: edges are closed, so both report it.
+fn is_same_crossing(ray: &Ray, first: &Hit, second: &Hit) -> bool {
+    let direction = DVec3::from_array(ray.direction);
+    let side = |hit: &Hit| DVec3::from_array(hit.normal()).dot(direction) > 0.0;
+    let share_a_vertex = || first.vertices.iter().any(|vertex| second.vertices.contains(vertex));
+    if first.material != second.material || side(first) != side(second) || !share_a_vertex() {
+        return false;
+    }
+    // Both `t` stand for one point; what their planes' rounding can put between them grows as the ray grazes them.
+    let error = first.position_error() + second.position_error();
+    let slant = |hit: &Hit| {
+        let normal = DVec3::from_array(hit.normal());
+        normal.length() * 4.0 / normal.dot(direction).abs()
+    };
+    second.t - first.t <= error * slant(first).max(slant(second))
+}

@@ -1,0 +1,220 @@
+//! Pictures of a few triangles through a query that tries every triangle: what shading and ray trees do is seen here
+//! without octree, cache or blocks.
+
+mod invariance;
+mod octree;
+mod shading;
+mod trees;
+
+use std::sync::Arc;
+
+use super::film::Film;
+use super::query::RayQuery;
+use super::renderer::{Picture, picture};
+use super::settings::RenderSettings;
+use super::stage::Stage;
+use crate::budget::MemoryBudget;
+use crate::compile::{Control, Threads};
+use crate::error::{LoadError, RenderError, SourceError, TraceError};
+use crate::geom::{Ray, intersect_certified};
+use crate::model::MaterialRecord;
+use crate::scene::{Camera, EffectPlan, Scene};
+use crate::stats::TraceCounters;
+use crate::trace::{Hit, MaterialSet, Occlusion};
+use crate::units::{BlockId, Bytes, MaterialId, TriangleId};
+
+/// A few triangles and their materials.
+#[derive(Clone, Default)]
+struct Mesh {
+    triangles: Vec<([[f64; 3]; 3], u16)>,
+    materials: Vec<MaterialRecord>,
+}
+
+impl Mesh {
+    fn new(materials: impl IntoIterator<Item = MaterialRecord>) -> Mesh {
+        Mesh { triangles: Vec::new(), materials: materials.into_iter().collect() }
+    }
+
+    /// A parallelogram at `corner` spanned by `a` and `b`, cut along its diagonal; its front faces `a` x `b`.
+    fn sheet(mut self, material: u16, corner: [f64; 3], a: [f64; 3], b: [f64; 3]) -> Mesh {
+        let add = |p: [f64; 3], q: [f64; 3]| [0, 1, 2].map(|axis| p[axis] + q[axis]);
+        let (along, far, across) = (add(corner, a), add(add(corner, a), b), add(corner, b));
+        self.triangles.push(([corner, along, far], material));
+        self.triangles.push(([corner, far, across], material));
+        self
+    }
+
+    /// A closed box, front faces outward.
+    fn cuboid(self, material: u16, min: [f64; 3], max: [f64; 3]) -> Mesh {
+        let [x, y, z] = [0, 1, 2].map(|axis| {
+            let mut edge = [0.0; 3];
+            edge[axis] = max[axis] - min[axis];
+            edge
+        });
+        let back = |edge: [f64; 3]| edge.map(|length| -length);
+        self.sheet(material, min, y, x)
+            .sheet(material, min, z, y)
+            .sheet(material, min, x, z)
+            .sheet(material, max, back(x), back(y))
+            .sheet(material, max, back(y), back(z))
+            .sheet(material, max, back(z), back(x))
+    }
+}
+
+/// The naive twin of the tracer.
+struct Naive {
+    mesh: Arc<Mesh>,
+    counters: TraceCounters,
+    /// Fails once this many rays were asked.
+    rays_left: u64,
+}
+
+impl Naive {
+    fn first(&mut self, ray: &Ray, after: Option<(f64, TriangleId)>) -> Option<Hit> {
+        self.counters.rays += 1;
+        let mut best: Option<Hit> = None;
+        for ((vertices, material), id) in self.mesh.triangles.iter().zip(0..) {
+            let Some(hit) = intersect_certified(ray, vertices, &mut self.counters.exact_fallbacks) else {
+                continue;
+            };
+            let key = (hit.t, TriangleId(id));
+            if after.is_none_or(|after| key > after) && best.is_none_or(|best| key < (best.t, best.triangle))
+            {
+                best = Some(Hit {
+                    t: hit.t,
+                    u: hit.u,
+                    v: hit.v,
+                    triangle: TriangleId(id),
+                    material: MaterialId(*material),
+                    vertices: *vertices,
+                });
+            }
+        }
+        best
+    }
+
+    fn spend(&mut self, rays: &[Ray]) -> Result<(), TraceError> {
+        for (index, ray) in rays.iter().enumerate() {
+            ray.validate().map_err(|reason| TraceError::InvalidRay { index, reason })?;
+        }
+        match self.rays_left.checked_sub(rays.len() as u64) {
+            Some(left) => self.rays_left = left,
+            None => {
+                return Err(TraceError::Load(LoadError::Source(SourceError::NoSuchBlock {
+                    block: BlockId(7),
+                    name: "the naive twin".to_string(),
+                    count: 0,
+                })));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl RayQuery for Naive {
+    fn closest_hits(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError> {
+        self.spend(rays)?;
+        assert_eq!(rays.len(), hits.len());
+        for (ray, hit) in rays.iter().zip(hits) {
+            *hit = self.first(ray, None);
+        }
+        Ok(())
+    }
+
+    fn closest_hits_after(
+        &mut self,
+        rays: &[Ray],
+        after: &[(f64, TriangleId)],
+        hits: &mut [Option<Hit>],
+    ) -> Result<(), TraceError> {
+        self.spend(rays)?;
+        assert!(rays.len() == hits.len() && rays.len() == after.len());
+        for ((ray, after), hit) in rays.iter().zip(after).zip(hits) {
+            *hit = self.first(ray, Some(*after));
+        }
+        Ok(())
+    }
+
+    fn occluded(
+        &mut self,
+        rays: &[Ray],
+        ignore: Option<&MaterialSet>,
+        out: &mut [Occlusion],
+    ) -> Result<(), TraceError> {
+        self.spend(rays)?;
+        assert_eq!(rays.len(), out.len());
+        for (ray, answer) in rays.iter().zip(out) {
+            *answer = Occlusion::Clear;
+            let mut hit = self.first(ray, None);
+            while let Some(found) = hit {
+                if ignore.is_some_and(|ignore| ignore.contains(found.material)) {
+                    *answer = Occlusion::Filtered;
+                    hit = self.first(ray, Some((found.t, found.triangle)));
+                } else {
+                    *answer = Occlusion::Blocked;
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn counters(&self) -> TraceCounters {
+        self.counters
+    }
+}
+
+fn render_until(
+    mesh: &Mesh,
+    scene: &Scene,
+    settings: &RenderSettings,
+    threads: &Threads,
+    rays_left: u64,
+    progress: &mut (dyn FnMut(super::Progress) -> Control + Send),
+) -> Result<Picture, RenderError> {
+    let plan = EffectPlan::of_materials(scene, &mesh.materials, &settings.effect_options());
+    let stage = Stage::new(scene, &mesh.materials, &plan, settings);
+    let mesh = Arc::new(mesh.clone());
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let naive = || Ok(Naive { mesh: mesh.clone(), counters: TraceCounters::default(), rays_left });
+    let picture = picture(&stage, threads, &budget, &naive, progress)?;
+    // Only the film lives on.
+    assert_eq!(budget.used(), Film::bytes_needed(&stage.grid));
+    Ok(picture)
+}
+
+fn render(mesh: &Mesh, scene: &Scene, settings: &RenderSettings) -> Picture {
+    render_until(mesh, scene, settings, &Threads::One, u64::MAX, &mut |_| Control::Continue).unwrap()
+}
+
+/// Looks along -Z from z = 5 with parallel rays; one pixel covers 2 x 2 units around the origin.
+fn straight_camera() -> Camera {
+    Camera::orthographic([0.0, 0.0, 5.0], [0.0; 3], [0.0, 1.0, 0.0], 2.0).unwrap()
+}
+
+/// The colour of a picture of one pixel.
+fn one_pixel(mesh: &Mesh, scene: &Scene, settings: &RenderSettings) -> ([f32; 3], Picture) {
+    let picture = render(mesh, scene, &RenderSettings { width: 1, height: 1, ..*settings });
+    (picture.film.pixel(0, 0), picture)
+}
+
+fn matt(diffuse: f32) -> MaterialRecord {
+    MaterialRecord { diffuse: [diffuse; 3], ..MaterialRecord::default() }
+}
+
+fn mirror(specular: f32) -> MaterialRecord {
+    MaterialRecord { diffuse: [0.0; 3], specular: [specular; 3], mirror: true, ..MaterialRecord::default() }
+}
+
+fn clear(refractive_index: f32) -> MaterialRecord {
+    MaterialRecord { diffuse: [0.0; 3], opacity: 0.0, refractive_index, ..MaterialRecord::default() }
+}
+
+fn assert_close(found: [f32; 3], expected: [f64; 3], tolerance: f64) {
+    for channel in 0..3 {
+        assert!(
+            (f64::from(found[channel]) - expected[channel]).abs() <= tolerance,
+            "found {found:?}, expected {expected:?}"
+        );
+    }
+}

@@ -1,0 +1,173 @@
+//! The naive twin's picture against the octree's, and what the report says.
+
+use std::path::Path;
+
+use super::invariance::{settings, still_life};
+use super::*;
+use crate::LazyOctree;
+use crate::block::Codec;
+use crate::compile::{CompileOptions, Compiler, PrecisionChoice};
+use crate::import::{MeshSink, VertexBatch};
+use crate::octree::OctreeOptions;
+use crate::render::{Outcome, Renderer};
+use crate::scene::{Effect, EffectSet};
+use crate::source::{BlockSource, DiskSource, MemorySource};
+
+/// Compiles `mesh` with every vertex of its own, in its own order.
+fn compile(mesh: &Mesh, path: &Path, block_bytes: u32, codec: Codec) {
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let options = CompileOptions {
+        block_bytes,
+        codec,
+        precision: PrecisionChoice::Float32,
+        ..CompileOptions::default()
+    };
+    let mut progress = |_| Control::Continue;
+    let mut compiler = Compiler::new(path, options, &budget, &mut progress).unwrap();
+    let ids: Vec<MaterialId> =
+        mesh.materials.iter().map(|record| compiler.material(record.clone()).unwrap()).collect();
+    for ((vertices, material), first) in mesh.triangles.iter().zip((0u32..).step_by(3)) {
+        compiler.vertices(VertexBatch::Float64(vertices)).unwrap();
+        compiler.triangles(&[[first, first + 1, first + 2]], ids[usize::from(*material)]).unwrap();
+    }
+    compiler.finish().unwrap();
+}
+
+/// The still life in f32, on a ground of many small triangles so that there are many blocks.
+fn large_still_life() -> (Mesh, Scene) {
+    let (mesh, scene) = still_life();
+    let mut large = Mesh::new(mesh.materials);
+    const STEPS: i32 = 24;
+    for x in 0..STEPS {
+        for z in 0..STEPS {
+            let corner = [-6.0 + 0.5 * f64::from(x), -1.0, -6.0 + 0.5 * f64::from(z)];
+            large = large.sheet(0, corner, [0.0, 0.0, 0.5], [0.5, 0.0, 0.0]);
+        }
+    }
+    large.triangles.extend(mesh.triangles.into_iter().skip(2));
+    for (vertices, _) in &mut large.triangles {
+        *vertices = vertices.map(|vertex| vertex.map(|x| f64::from(x as f32)));
+    }
+    (large, scene)
+}
+
+#[test]
+fn the_octree_gives_the_naive_picture_for_any_blocks_cache_source_and_threads() {
+    let (mesh, scene) = large_still_life();
+    let reference = render(&mesh, &scene, &settings());
+    let directory = tempfile::tempdir().unwrap();
+    for (index, (block_bytes, codec, slots_max, threads)) in [
+        (4 << 10, Codec::Lz4, None, Threads::One),
+        (4 << 10, Codec::Raw, Some(2), Threads::One),
+        (4 << 10, Codec::Lzo, Some(3), Threads::Count(2)),
+        (64 << 10, Codec::Lz4, None, Threads::Count(2)),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let path = directory.path().join(format!("{index}.outcrop"));
+        compile(&mesh, &path, block_bytes, codec);
+        let source: Arc<dyn BlockSource> = if index % 2 == 0 {
+            Arc::new(DiskSource::open(&path).unwrap())
+        } else {
+            Arc::new(MemorySource::new(std::fs::read(&path).unwrap()).unwrap())
+        };
+        let budget = MemoryBudget::new(Bytes::mib(64));
+        let needed = Renderer::bytes_needed(&scene, source.model(), &settings(), &threads).unwrap();
+        let reserved = budget.reserve(needed, "the render").unwrap();
+        let options = OctreeOptions { tracers_max: 2, slots_max, ..OctreeOptions::default() };
+        let octree = LazyOctree::open(source, &budget, options).unwrap();
+        drop(reserved);
+        let renderer = Renderer::new(&octree, &scene, &settings(), &budget).unwrap();
+        let image = renderer.render(&threads, &mut |_| Control::Continue).unwrap();
+        assert!(image.film.pixels() == reference.film.pixels(), "{block_bytes} {codec:?} {slots_max:?}");
+
+        let report = &image.report;
+        assert_eq!(report.effects, reference.totals.effects);
+        // The octree counts every query that the effects made.
+        assert_eq!(report.trace.rays, report.effects.rays());
+        assert_eq!(report.outcome, Outcome::Complete);
+        assert_eq!(report.tiles_finished, report.tiles_total);
+        assert!(report.blocks_touched >= 1 && report.blocks_touched <= report.blocks_total);
+        assert!(report.trace.blocks_loaded >= report.blocks_touched);
+        assert!(slots_max.is_some() || report.loads_per_touched_block() == 1.0);
+        assert!(report.budget_peak <= Bytes::mib(64) && report.memory == needed);
+        let json: serde_json::Value = serde_json::from_str(&report.to_json()).unwrap();
+        assert_eq!(json["effects"]["primary_rays"], 37 * 29 * 3);
+        assert_eq!(json["complete"], true);
+        assert_eq!(json["plan"].as_array().unwrap().len(), Effect::ALL.len());
+    }
+}
+
+/// Rays that no effect calls for would load blocks: a view past the model loads none, and a view of matt bricks loads
+/// no more without shadows than its primary rays need.
+#[test]
+fn effects_left_out_load_no_block() {
+    let (mesh, scene) = large_still_life();
+    // A glass that no block uses calls for nothing.
+    let materials = [vec![matt(0.5); 4], vec![clear(1.5)]].concat();
+    let bricks = Mesh { materials, ..mesh };
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("bricks.outcrop");
+    compile(&bricks, &path, 4 << 10, Codec::Lz4);
+    // A keyhole: a few pixels of ground far from everything else.
+    let camera = Camera::orthographic([5.0, 9.0, -5.0], [5.0, 0.0, -5.0], [0.0, 0.0, 1.0], 0.2).unwrap();
+    let keyhole = Scene::new(camera).with_lights(scene.lights().iter().copied());
+    let loads = |settings: RenderSettings| {
+        let budget = MemoryBudget::new(Bytes::mib(64));
+        let source = Arc::new(DiskSource::open(&path).unwrap());
+        let options = OctreeOptions { slots_max: Some(4), ..OctreeOptions::default() };
+        let octree = LazyOctree::open(source, &budget, options).unwrap();
+        let renderer = Renderer::new(&octree, &keyhole, &settings, &budget).unwrap();
+        assert!(!renderer.plan().has(Effect::Transmission), "{}", renderer.plan().explain());
+        let image = renderer.render(&Threads::One, &mut |_| Control::Continue).unwrap();
+        let film: Vec<_> = image.film.pixels().to_vec();
+        (film, image.report.trace.blocks_loaded)
+    };
+    let small = RenderSettings::new(4, 4);
+    let off: EffectSet = Effect::ALL.into_iter().collect();
+    let (_, primary_only) = loads(RenderSettings { switched_off: off, ..small });
+    let (planned, planned_loads) = loads(small);
+    let (forced, forced_loads) = loads(RenderSettings { forced: EffectSet::ALL, ..small });
+    assert!(primary_only <= planned_loads && planned_loads <= forced_loads);
+    assert!(planned == forced);
+    assert_eq!(primary_only, 1);
+}
+
+#[test]
+fn a_damaged_block_ends_the_render() {
+    let (mesh, scene) = large_still_life();
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("damaged.outcrop");
+    compile(&mesh, &path, 4 << 10, Codec::Lz4);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let model = MemorySource::new(bytes.clone()).unwrap().model().clone();
+    for block in &model.blocks {
+        bytes[block.offset as usize + block.stored_bytes as usize / 2] ^= 0x10;
+    }
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let source = Arc::new(MemorySource::new(bytes).unwrap());
+    let options = OctreeOptions { slots_max: Some(8), tracers_max: 2, ..OctreeOptions::default() };
+    let octree = LazyOctree::open(source, &budget, options).unwrap();
+    let renderer = Renderer::new(&octree, &scene, &settings(), &budget).unwrap();
+    for threads in [Threads::One, Threads::Count(2)] {
+        let error = renderer.render(&threads, &mut |_| Control::Continue).map(|_| ()).unwrap_err();
+        assert!(error.to_string().contains("is damaged"), "{error}");
+    }
+}
+
+#[test]
+fn a_cancelled_render_is_not_complete() {
+    let (mesh, scene) = large_still_life();
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("cancelled.outcrop");
+    compile(&mesh, &path, 64 << 10, Codec::Lz4);
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let options = OctreeOptions { slots_max: Some(8), ..OctreeOptions::default() };
+    let octree = LazyOctree::open(Arc::new(DiskSource::open(&path).unwrap()), &budget, options).unwrap();
+    let renderer = Renderer::new(&octree, &scene, &settings(), &budget).unwrap();
+    let image = renderer.render(&Threads::One, &mut |_| Control::Cancel).unwrap();
+    assert_eq!(image.report.outcome, Outcome::Cancelled);
+    assert!(image.report.tiles_finished < image.report.tiles_total);
+    assert!(matches!(image.into_complete(), Err(RenderError::Cancelled)));
+}
