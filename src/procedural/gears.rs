@@ -181,8 +181,8 @@ fn materials() -> Vec<MaterialRecord> {
         MaterialRecord {
             name: "floor".to_string(),
             diffuse: [0.3, 0.255, 0.21],
-            specular: [0.6; 3],
-            shininess: 3.0,
+            specular: [0.4; 3],
+            shininess: 64.0,
             mirror: true,
             ..MaterialRecord::default()
         },

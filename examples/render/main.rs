@@ -1,0 +1,155 @@
+//! Renders a model file, a compiled file or, with no argument, procedural gears, inside a memory budget.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod compiled;
+mod options;
+mod summary;
+
+use std::error::Error;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use common::arguments::{self, Arguments};
+use common::interrupt::Interrupt;
+use common::memory_log::MemoryLog;
+use common::progress::Meter;
+use options::{Command, Options, SourceKind};
+use outcrop::model::Model;
+use outcrop::octree::{LazyOctree, OctreeOptions};
+use outcrop::render::{Control, Outcome, RenderSettings, RenderedImage, Renderer, Threads};
+use outcrop::scene::{Camera, Light, Scene};
+use outcrop::source::{DiskSource, MemorySource, PageCache};
+use outcrop::{BlockSource, MemoryBudget};
+use summary::Summary;
+
+fn main() -> ExitCode {
+    arguments::run(run)
+}
+
+fn run(arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
+    let options = match Options::parse(arguments)? {
+        Command::Help => {
+            print!("{}", options::HELP);
+            return Ok(ExitCode::SUCCESS);
+        }
+        Command::Run(options) => options,
+    };
+    let interrupt = Interrupt::install()?;
+    let budget = MemoryBudget::new(options.memory);
+    let log = options.memory_log.clone().map(|path| MemoryLog::start(path, &budget));
+    let mut summary = Summary::new();
+
+    let code = job(&options, &budget, &interrupt, &mut summary);
+    if let Some(log) = log {
+        log.finish()?;
+    }
+    let code = code?;
+    summary.end(&options, &budget)?;
+    Ok(code)
+}
+
+fn job(
+    options: &Options,
+    budget: &MemoryBudget,
+    interrupt: &Interrupt,
+    summary: &mut Summary,
+) -> Result<ExitCode, Box<dyn Error>> {
+    let mut meter = Meter::new();
+    let compiled = compiled::prepare(options, budget, interrupt, &mut meter)?;
+    meter.finish();
+    summary.compiled(&compiled);
+    if options.compile_only {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let source = open(options, &compiled.path)?;
+    let image = render(options, source, budget, interrupt, &mut meter, summary)?;
+    meter.finish();
+    image.film.write(&options.output)?;
+    summary.rendered(&image, &options.output);
+    Ok(match image.report.outcome {
+        Outcome::Complete => ExitCode::SUCCESS,
+        Outcome::Cancelled => ExitCode::from(Interrupt::EXIT_CODE),
+    })
+}
+
+fn open(options: &Options, path: &std::path::Path) -> Result<Arc<dyn BlockSource>, Box<dyn Error>> {
+    Ok(match options.source {
+        SourceKind::Disk => Arc::new(DiskSource::open_with(path, PageCache::Bypass)?),
+        SourceKind::Cached => Arc::new(DiskSource::open_with(path, PageCache::Use)?),
+        SourceKind::Memory => {
+            let bytes =
+                std::fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+            Arc::new(MemorySource::new(bytes)?)
+        }
+    })
+}
+
+fn render(
+    options: &Options,
+    source: Arc<dyn BlockSource>,
+    budget: &MemoryBudget,
+    interrupt: &Interrupt,
+    meter: &mut Meter,
+    summary: &mut Summary,
+) -> Result<RenderedImage, Box<dyn Error>> {
+    let settings = settings(options);
+    let threads = Threads::Count(options.threads as usize);
+    let scene = scene(options, source.model())?;
+    // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
+    let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
+    let set_aside = budget.reserve(picture_bytes, "the picture")?;
+    let octree = LazyOctree::open(
+        source,
+        budget,
+        OctreeOptions {
+            tracers_max: options.threads,
+            simd: options.simd,
+            tier: options.tier,
+            leaf_layout: options.leaf_layout,
+            slots_max: options.slots_max,
+        },
+    )?;
+    drop(set_aside);
+    summary.opened(&octree, picture_bytes);
+    let renderer = Renderer::new(&octree, &scene, &settings, budget)?;
+    let mut progress = |progress: outcrop::render::Progress| {
+        meter.set("rendering", progress.samples as f64 / progress.samples_total as f64);
+        if interrupt.is_requested() { Control::Cancel } else { Control::Continue }
+    };
+    Ok(renderer.render(&threads, &mut progress)?)
+}
+
+fn settings(options: &Options) -> RenderSettings {
+    let mut settings = RenderSettings::new(options.size[0], options.size[1]);
+    settings.samples_per_pixel = options.samples_per_pixel;
+    if let Some(bound) = options.contribution_bound {
+        settings.contribution_bound = bound;
+    }
+    settings
+}
+
+/// The scene that the options describe; what they leave out is chosen to fit the model.
+fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
+    let aspect = f64::from(options.size[0]) / f64::from(options.size[1]);
+    let up = options.up;
+    let framing = match up {
+        Some(up) => Camera::framing_with_up(&model.bounds, up, aspect),
+        None => Camera::framing(&model.bounds, aspect),
+    };
+    let look_at = options.look_at.unwrap_or_else(|| model.bounds.center());
+    let eye = options.eye.unwrap_or_else(|| framing.eye());
+    // The framing camera's own up is at a right angle to its view; any up that is given or usual will do here.
+    let up = up.unwrap_or(if options.eye.is_some() { [0.0, 0.0, 1.0] } else { framing.frame()[1] });
+    let camera = match options.orthographic {
+        Some(height) => Camera::orthographic(eye, look_at, up, height)?,
+        None if options.eye.is_none() && options.look_at.is_none() && options.fov.is_none() => framing,
+        None => Camera::pinhole(eye, look_at, up, options.fov.unwrap_or(45.0))?,
+    };
+    let scene = Scene::new(camera);
+    if options.lights.is_empty() {
+        return Ok(scene.with_automatic_lights());
+    }
+    let lights = options.lights.iter().map(|&(position, intensity)| Light::point(position, [intensity; 3]));
+    Ok(scene.with_lights(lights).with_background([0.45, 0.55, 0.68]).with_ambient([0.08; 3]))
+}

@@ -1,0 +1,263 @@
+//! The command line of `render`.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::thread;
+
+use outcrop::block::Codec;
+use outcrop::octree::{LeafLayout, Tier};
+use outcrop::render::ImageFormat;
+use outcrop::simd::SimdLevel;
+use outcrop::units::Bytes;
+
+use crate::common::arguments::{Argument, Arguments};
+
+pub const HELP: &str = "\
+render: makes a picture of a model inside a memory budget
+
+    cargo run --release --example render                      procedural gears, 1.7 million triangles, in 64 MiB
+    cargo run --release --example render -- MODEL [OPTION]... .obj, .ply, .stl (each also .gz) or a compiled .outcrop
+    cargo run --release --example render -- MODEL --compile-only [-o FILE.outcrop]
+
+A model is compiled first, to MODEL.outcrop, unless that file is there and the model has not changed since.
+
+picture
+    -o, --output FILE       .png, .exr or .pfm; MODEL.png in the current folder if not given
+    --size WxH              512x512; one number for a square
+    --spp N                 samples per pixel (1)
+    --eye X,Y,Z             camera; chosen to show the whole model if not given
+    --look-at X,Y,Z         the model's middle if not given
+    --up X,Y,Z
+    --fov DEGREES           vertical angle of view (45)
+    --orthographic HEIGHT   parallel projection, HEIGHT units from top to bottom
+    --light X,Y,Z[,I]       point light of intensity I (1); may be repeated; chosen to suit the camera if not given
+    --depth-bound X         follow rays while they can add more than X to a sample (0.001; 0 follows all)
+resources
+    --memory BYTES          budget of everything together, as in 64MiB (256MiB)
+    --threads N             all of the machine's if not given
+    --source KIND           disk (reads that leave no page cache), cached or memory (disk)
+    --slots N               at most N cache slots
+    --leaves KIND           expanded or indexed; by the budget if not given
+    --simd KIND             avx2 or portable; the best here if not given
+    --fast                  hits in f32 without a guarantee
+compiled file
+    --compile-only          stop after compiling; -o then names the compiled file
+    --compiled FILE         keep the compiled file there instead of beside the model
+    --recompile             compile even if the compiled file is up to date
+    --block-bytes BYTES     decoded size of a block, 4KiB to 256KiB (64KiB)
+    --codec KIND            raw, lzo or lz4 (lz4)
+report
+    --stats FILE.json       everything that is printed and more
+    --memory-log FILE.csv   memory over time, and a plot of it as FILE.svg
+";
+
+/// What was asked for.
+pub enum Command {
+    Help,
+    Run(Box<Options>),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SourceKind {
+    Disk,
+    Cached,
+    Memory,
+}
+
+pub struct Options {
+    /// A model file or a compiled file; the gears if not given.
+    pub model: Option<PathBuf>,
+    /// The picture.
+    pub output: PathBuf,
+    pub size: [u32; 2],
+    pub samples_per_pixel: u32,
+    pub eye: Option<[f64; 3]>,
+    pub look_at: Option<[f64; 3]>,
+    pub up: Option<[f64; 3]>,
+    pub fov: Option<f64>,
+    pub orthographic: Option<f64>,
+    /// Position and intensity.
+    pub lights: Vec<([f64; 3], f32)>,
+    pub contribution_bound: Option<f64>,
+    pub memory: Bytes,
+    pub threads: u32,
+    pub source: SourceKind,
+    pub slots_max: Option<u32>,
+    pub leaf_layout: LeafLayout,
+    pub simd: Option<SimdLevel>,
+    pub tier: Tier,
+    pub compile_only: bool,
+    pub compiled: Option<PathBuf>,
+    pub recompile: bool,
+    pub block_bytes: Option<u32>,
+    pub codec: Option<Codec>,
+    pub stats: Option<PathBuf>,
+    pub memory_log: Option<PathBuf>,
+}
+
+/// Wheels per edge of the gears that are shown without a model.
+pub const GEARS_N: u32 = 4;
+
+impl Options {
+    pub fn parse(mut arguments: Arguments) -> Result<Command, Box<dyn Error>> {
+        let mut options = Options::default();
+        let mut output = None;
+        let (mut size, mut memory) = (None, None);
+        while let Some(argument) = arguments.next()? {
+            let name = match argument {
+                Argument::Option(name) => name,
+                Argument::Positional(path) if options.model.is_none() => {
+                    options.model = Some(path);
+                    continue;
+                }
+                Argument::Positional(path) => {
+                    return Err(format!("{}: one model at a time", path.display()).into());
+                }
+            };
+            match name.as_str() {
+                "-h" | "--help" => return Ok(Command::Help),
+                "-o" | "--output" => output = Some(arguments.path()?),
+                "--size" => size = Some(parse_size(&arguments.text()?)?),
+                "--spp" => options.samples_per_pixel = arguments.value()?,
+                "--eye" => options.eye = Some(arguments.numbers()?),
+                "--look-at" => options.look_at = Some(arguments.numbers()?),
+                "--up" => options.up = Some(arguments.numbers()?),
+                "--fov" => options.fov = Some(arguments.value()?),
+                "--orthographic" => options.orthographic = Some(arguments.value()?),
+                "--light" => options.lights.push(light(&mut arguments)?),
+                "--depth-bound" => options.contribution_bound = Some(arguments.value()?),
+                "--memory" => memory = Some(arguments.value()?),
+                "--threads" => options.threads = arguments.value()?,
+                "--source" => {
+                    let kinds = [
+                        ("disk", SourceKind::Disk),
+                        ("cached", SourceKind::Cached),
+                        ("memory", SourceKind::Memory),
+                    ];
+                    options.source = arguments.choice(&kinds)?;
+                }
+                "--slots" => options.slots_max = Some(arguments.value()?),
+                "--leaves" => {
+                    let kinds = [("expanded", LeafLayout::Expanded), ("indexed", LeafLayout::Indexed)];
+                    options.leaf_layout = arguments.choice(&kinds)?;
+                }
+                "--simd" => {
+                    let kinds = [("avx2", SimdLevel::Avx2), ("portable", SimdLevel::Portable)];
+                    options.simd = Some(arguments.choice(&kinds)?);
+                }
+                "--fast" => options.tier = Tier::Fast,
+                "--compile-only" => options.compile_only = true,
+                "--compiled" => options.compiled = Some(arguments.path()?),
+                "--recompile" => options.recompile = true,
+                "--block-bytes" => {
+                    let bytes: Bytes = arguments.value()?;
+                    options.block_bytes = Some(u32::try_from(bytes.0)?);
+                }
+                "--codec" => {
+                    let kinds = [("raw", Codec::Raw), ("lzo", Codec::Lzo), ("lz4", Codec::Lz4)];
+                    options.codec = Some(arguments.choice(&kinds)?);
+                }
+                "--stats" => options.stats = Some(arguments.path()?),
+                "--memory-log" => options.memory_log = Some(arguments.path()?),
+                _ => return Err(format!("{name}: no such option; --help lists them").into()),
+            }
+        }
+        options.finish(output, size, memory)?;
+        Ok(Command::Run(Box::new(options)))
+    }
+
+    /// Fills in what depends on several options, and checks what can be checked before any work.
+    fn finish(
+        &mut self,
+        output: Option<PathBuf>,
+        size: Option<[u32; 2]>,
+        memory: Option<Bytes>,
+    ) -> Result<(), Box<dyn Error>> {
+        if self.threads == 0 {
+            return Err("--threads 0: at least one is needed".into());
+        }
+        if self.model.is_none() {
+            self.show_gears();
+        }
+        self.size = size.unwrap_or(self.size);
+        self.memory = memory.unwrap_or(self.memory);
+        if self.compile_only {
+            self.compiled = output.or(self.compiled.take());
+            return Ok(());
+        }
+        self.output = output.unwrap_or_else(|| match self.model.as_deref().and_then(Path::file_stem) {
+            Some(stem) => Path::new(stem).with_extension("png"),
+            None => PathBuf::from("gears.png"),
+        });
+        ImageFormat::of_path(&self.output)?;
+        Ok(())
+    }
+
+    /// What the gears are shown with where the command line leaves it open: their standard view.
+    fn show_gears(&mut self) {
+        (self.size, self.memory) = ([768, 768], Bytes::mib(64));
+        self.eye.get_or_insert([-1.1, -2.1, 2.6]);
+        self.look_at.get_or_insert([0.0; 3]);
+        self.up.get_or_insert([0.0, 0.0, 1.0]);
+        if self.lights.is_empty() {
+            self.lights = [
+                [2.0, 4.0, 4.0],
+                [-2.0, 4.0, 3.0],
+                [2.0, -2.5, 2.5],
+                [-1.0, -4.0, 2.0],
+                [-1.111, -2.121, 2.626],
+            ]
+            .map(|position| (position, 0.25))
+            .to_vec();
+        }
+    }
+}
+
+impl Default for Options {
+    fn default() -> Options {
+        Options {
+            model: None,
+            output: PathBuf::new(),
+            size: [512, 512],
+            samples_per_pixel: 1,
+            eye: None,
+            look_at: None,
+            up: None,
+            fov: None,
+            orthographic: None,
+            lights: Vec::new(),
+            contribution_bound: None,
+            memory: Bytes::mib(256),
+            threads: thread::available_parallelism().map_or(1, |count| count.get() as u32),
+            source: SourceKind::Disk,
+            slots_max: None,
+            leaf_layout: LeafLayout::Auto,
+            simd: None,
+            tier: Tier::Certified,
+            compile_only: false,
+            compiled: None,
+            recompile: false,
+            block_bytes: None,
+            codec: None,
+            stats: None,
+            memory_log: None,
+        }
+    }
+}
+
+/// `640x480` or `512`.
+fn parse_size(text: &str) -> Result<[u32; 2], Box<dyn Error>> {
+    let error = || format!("--size {text}: write it as 640x480, or 512 for a square");
+    let (width, height) = text.split_once('x').unwrap_or((text, text));
+    Ok([width.parse().map_err(|_| error())?, height.parse().map_err(|_| error())?])
+}
+
+/// A position, and an intensity if there is a fourth number.
+fn light(arguments: &mut Arguments) -> Result<([f64; 3], f32), Box<dyn Error>> {
+    let numbers = arguments.number_list()?;
+    match numbers[..] {
+        [x, y, z] => Ok(([x, y, z], 1.0)),
+        [x, y, z, intensity] => Ok(([x, y, z], intensity as f32)),
+        _ => Err("--light: expected a position and perhaps an intensity, as in 1,2,3 or 1,2,3,0.5".into()),
+    }
+}

@@ -1,0 +1,186 @@
+//! What happened, for a person and as JSON.
+
+use std::error::Error;
+use std::path::Path;
+
+use outcrop::MemoryBudget;
+use outcrop::compile::{CompileReport, Seconds};
+use outcrop::octree::LazyOctree;
+use outcrop::render::{Outcome, RenderReport, RenderedImage};
+use outcrop::units::Bytes;
+use serde_json::{Value, json};
+
+use crate::common::process::ProcessMemory;
+use crate::compiled::Compiled;
+use crate::options::Options;
+
+/// Collects what `--stats` writes while it prints.
+pub struct Summary {
+    stats: Value,
+}
+
+impl Summary {
+    pub fn new() -> Summary {
+        Summary { stats: json!({}) }
+    }
+
+    pub fn compiled(&mut self, compiled: &Compiled) {
+        println!("model     {}", compiled.story);
+        self.stats["model"] = json!(compiled.story);
+        let Some(report) = &compiled.report else { return };
+        println!(
+            "compile   {} triangles to {} blocks in {:.2} s ({:.2} s of processor time)",
+            grouped(report.triangles),
+            grouped(report.blocks.into()),
+            report.seconds.total.wall,
+            report.seconds.total.cpu
+        );
+        println!(
+            "          {}: {}, {:.2} bytes per triangle, positions {}",
+            compiled.path.display(),
+            Bytes(report.file_bytes),
+            report.bytes_per_triangle,
+            if report.error_bound == 0.0 {
+                "exact".to_string()
+            } else {
+                format!("within {:.1e}", report.error_bound)
+            }
+        );
+        for (count, what) in [
+            (report.degenerate, "without area"),
+            (report.duplicates, "doubled"),
+            (report.skipped, "left out because a coordinate is not finite"),
+        ] {
+            if count > 0 {
+                println!("          {} triangles {what}", grouped(count));
+            }
+        }
+        self.stats["compile"] = compile_stats(report);
+    }
+
+    pub fn opened(&mut self, octree: &LazyOctree, picture_bytes: Bytes) {
+        let (slots, blocks) = (octree.cache().slot_count(), octree.model().blocks.len());
+        let cache_bytes = Bytes(u64::from(slots) * octree.cache().slot_bytes().0);
+        println!(
+            "memory    {cache_bytes} for {} of {} blocks ({:.0} %), {picture_bytes} for the picture",
+            grouped(slots.into()),
+            grouped(blocks as u64),
+            100.0 * f64::from(slots) / blocks as f64
+        );
+        self.stats["cache"] = json!({
+            "slots": slots,
+            "slot_bytes": octree.cache().slot_bytes().0,
+            "blocks": blocks,
+        });
+    }
+
+    pub fn rendered(&mut self, image: &RenderedImage, output: &Path) {
+        let report = &image.report;
+        let outcome = match report.outcome {
+            Outcome::Complete => String::new(),
+            Outcome::Cancelled => {
+                format!(", STOPPED after {} of {} tiles", report.tiles_finished, report.tiles_total)
+            }
+        };
+        println!(
+            "render    {} x {}, {} samples per pixel, {} threads: {:.2} s{outcome}",
+            report.width, report.height, report.samples_per_pixel, report.threads, report.wall_seconds
+        );
+        print_rays(report);
+        print_blocks(report);
+        for line in report.plan.explain().lines() {
+            println!("effect    {line}");
+        }
+        println!("image     {}", output.display());
+        self.stats["render"] = serde_json::from_str(&report.to_json()).unwrap_or_default();
+        self.stats["image"] = json!(output.display().to_string());
+    }
+
+    /// The last lines, and the file of `--stats`.
+    pub fn end(mut self, options: &Options, budget: &MemoryBudget) -> Result<(), Box<dyn Error>> {
+        print!("peak      {} reserved of a budget of {}", budget.peak(), budget.limit());
+        self.stats["budget"] = json!({ "limit_bytes": budget.limit().0, "peak_bytes": budget.peak().0 });
+        if let Some(memory) = ProcessMemory::now() {
+            print!("; {} resident (VmHWM)", memory.resident_peak);
+            self.stats["process"] = json!({ "resident_peak_bytes": memory.resident_peak.0 });
+        }
+        println!();
+        if let Some(path) = &options.stats {
+            let text = serde_json::to_string_pretty(&self.stats)? + "\n";
+            std::fs::write(path, text)
+                .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+        }
+        Ok(())
+    }
+}
+
+fn print_rays(report: &RenderReport) {
+    let rays = &report.effects;
+    println!(
+        "rays      {} camera, {} shadow, {} reflection, {} transmission ({:.2} million per second)",
+        grouped(rays.primary_rays),
+        grouped(rays.shadow_rays + rays.shadow_segments),
+        grouped(rays.reflection_rays),
+        grouped(rays.transmission_rays),
+        rays.rays() as f64 / report.wall_seconds.max(1e-9) / 1e6
+    );
+    let seconds = &report.seconds;
+    println!(
+        "          {:.2} s paths, {:.2} s shadows, {:.2} s shading, summed over the threads",
+        seconds.paths, seconds.shadows, seconds.shading
+    );
+    if rays.work_cuts > 0 {
+        println!("          {} rays not followed: the work budget was spent", grouped(rays.work_cuts));
+    }
+}
+
+fn print_blocks(report: &RenderReport) {
+    println!(
+        "blocks    {} of {} touched, {} loaded ({:.2} per touched block), {} read",
+        grouped(report.blocks_touched),
+        grouped(report.blocks_total),
+        grouped(report.trace.blocks_loaded),
+        report.loads_per_touched_block(),
+        Bytes(report.trace.bytes_read)
+    );
+}
+
+fn compile_stats(report: &CompileReport) -> Value {
+    let seconds = |seconds: &Seconds| json!({ "wall": seconds.wall, "cpu": seconds.cpu });
+    json!({
+        "triangles": report.triangles,
+        "blocks": report.blocks,
+        "vertices": report.vertices,
+        "file_bytes": report.file_bytes,
+        "bytes_per_triangle": report.bytes_per_triangle,
+        "degenerate": report.degenerate,
+        "duplicates": report.duplicates,
+        "skipped": report.skipped,
+        "precision": format!("{:?}", report.precision),
+        "error_bound": report.error_bound,
+        "codec": format!("{:?}", report.codec),
+        "spill_bytes": report.spill_bytes,
+        "budget_peak_bytes": report.budget_peak.0,
+        "seconds": {
+            "parse": seconds(&report.seconds.parse),
+            "scatter": seconds(&report.seconds.scatter),
+            "cut": seconds(&report.seconds.cut),
+            "encode": seconds(&report.seconds.encode),
+            "write": seconds(&report.seconds.write),
+            "total": seconds(&report.seconds.total),
+        },
+    })
+}
+
+/// `1757280` as `1,757,280`.
+fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
