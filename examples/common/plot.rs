@@ -12,7 +12,7 @@ pub struct Line {
 
 const SIZE: [f64; 2] = [720.0, 360.0];
 /// Left, top, right, bottom.
-const MARGIN: [f64; 4] = [64.0, 36.0, 150.0, 44.0];
+const MARGIN: [f64; 4] = [64.0, 36.0, 170.0, 44.0];
 /// Told apart also without colour vision (Okabe and Ito).
 const COLOURS: [&str; 5] = ["#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7"];
 
