@@ -13,6 +13,8 @@ mod polygon;
 mod report;
 mod sink;
 mod stl;
+#[cfg(test)]
+mod tests;
 mod text;
 mod triangles;
 mod window;

@@ -1,0 +1,82 @@
+//! Tests of the whole room: what each syntax form gives, what each fault says, and that nothing panics.
+
+mod files;
+mod hostile;
+mod mtl;
+mod number;
+mod obj;
+mod ply;
+mod ply_round_trip;
+mod polygon;
+mod stl;
+mod triangles;
+
+use std::io::Read;
+use std::path::Path;
+
+use super::{ImportOptions, ImportReport, MeshBuffer, read_obj, read_ply, read_stl};
+use crate::error::ImportError;
+
+type Outcome = Result<(MeshBuffer, ImportReport), ImportError>;
+
+/// A reader that gives a few bytes at a time.
+struct Dribble<'a>(&'a [u8], usize);
+
+impl Read for Dribble<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.0.len().min(buffer.len()).min(self.1);
+        buffer[..count].copy_from_slice(&self.0[..count]);
+        self.0 = &self.0[count..];
+        Ok(count)
+    }
+}
+
+fn obj(text: impl AsRef<[u8]>) -> Outcome {
+    let mut mesh = MeshBuffer::new();
+    let report = read_obj(
+        Dribble(text.as_ref(), 1000),
+        Path::new("folder/model.obj"),
+        &ImportOptions::default(),
+        &mut mesh,
+    )?;
+    check(&mesh, &report);
+    Ok((mesh, report))
+}
+
+fn ply(bytes: impl AsRef<[u8]>) -> Outcome {
+    let mut mesh = MeshBuffer::new();
+    let report = read_ply(
+        Dribble(bytes.as_ref(), 1000),
+        Path::new("folder/model.ply"),
+        &ImportOptions::default(),
+        &mut mesh,
+    )?;
+    check(&mesh, &report);
+    Ok((mesh, report))
+}
+
+fn stl(bytes: impl AsRef<[u8]>) -> Outcome {
+    let mut mesh = MeshBuffer::new();
+    let report = read_stl(
+        Dribble(bytes.as_ref(), 1000),
+        Path::new("folder/model.stl"),
+        &ImportOptions::default(),
+        &mut mesh,
+    )?;
+    check(&mesh, &report);
+    Ok((mesh, report))
+}
+
+/// What holds for every import that ends well.
+fn check(mesh: &MeshBuffer, report: &ImportReport) {
+    assert_eq!(report.vertices, mesh.vertices.len() as u64);
+    assert_eq!(report.triangles, mesh.triangles.len() as u64);
+    assert_eq!(report.materials as usize, mesh.materials.len());
+    assert!(report.fans <= report.polygons);
+    assert!(mesh.vertices_complete);
+}
+
+/// The message of an import that must fail.
+fn error(outcome: Outcome) -> String {
+    outcome.expect_err("the import must fail").to_string()
+}

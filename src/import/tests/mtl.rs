@@ -1,0 +1,90 @@
+//! MTL: what each statement means, and that a broken library costs only what is broken.
+
+use std::path::Path;
+
+use crate::import::mtl;
+use crate::import::report::ImportReport;
+use crate::model::MaterialRecord;
+
+/// Reads a library; warnings without the path.
+fn library(text: &[u8]) -> (Vec<MaterialRecord>, Vec<String>) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.mtl");
+    std::fs::write(&path, text).unwrap();
+    let mut report = ImportReport::default();
+    let mut records = Vec::new();
+    mtl::read(&path, &mut report, &mut |record| {
+        records.push(record);
+        true
+    })
+    .unwrap();
+    let warning = |warning: &crate::import::Warning| match warning.line {
+        Some(line) => format!("{line}: {}", warning.text),
+        None => warning.text.clone(),
+    };
+    (records, report.warnings.iter().map(warning).collect())
+}
+
+#[test]
+fn statements() {
+    let text = b"# remark\nnewmtl red glass\n  Kd 1 0.5 0.25\nKs .1 .2 .3\nKe 3 2 1\nNs 50\nNi 1.5\nd 0.25\nTf 0.9 0.8 0.7\n\
+        illum 7\nKa 1 1 1\n\nnewmtl plain\r\nKd 0.5\r\nTr 0.25\r\nNi 0\r\nillum 2\r\n";
+    let (records, warnings) = library(text);
+    assert_eq!(warnings, [""; 0]);
+    assert_eq!(
+        records[0],
+        MaterialRecord {
+            name: "red glass".into(),
+            diffuse: [1.0, 0.5, 0.25],
+            specular: [0.1, 0.2, 0.3],
+            shininess: 50.0,
+            emission: [3.0, 2.0, 1.0],
+            opacity: 0.25,
+            transmission: [0.9, 0.8, 0.7],
+            refractive_index: 1.5,
+            mirror: true,
+        }
+    );
+    assert_eq!(
+        records[1],
+        MaterialRecord {
+            name: "plain".into(),
+            diffuse: [0.5; 3],
+            opacity: 0.75,
+            ..MaterialRecord::default()
+        }
+    );
+}
+
+#[test]
+fn broken_statements_cost_only_themselves() {
+    let text = b"Kd 1 1 1\nnewmtl a\nKd 1 x 1\nKs 0.5 0.5 0.5\nNs\nKd spectral file.rfl\nd -halo 0.5\nmap_Kd\nillum 300\n\
+        newmtl\nKd 0 0 0\nnewmtl \xE9\nKd nan 0 inf\nd 7\nKe -1 0 0\nTf xyz 1 2 3";
+    let (records, warnings) = library(text);
+    assert_eq!(records.len(), 2);
+    assert_eq!((records[0].specular, records[0].opacity), ([0.5; 3], 0.5));
+    assert_eq!(records[0].diffuse, MaterialRecord::default().diffuse);
+    assert_eq!(records[1].name, "\u{FFFD}");
+    assert_eq!(records[1].diffuse, [0.7, 0.0, 0.7]);
+    assert_eq!((records[1].opacity, records[1].emission), (1.0, [0.0; 3]));
+    assert_eq!(
+        warnings,
+        [
+            "5: `Ns` without a number; it is left out",
+            "6: `Kd` needs one or three numbers; it is left out",
+            "3: `Kd 1 x 1` is not understood; it is left out",
+            "9: `illum 300` is not understood; it is left out",
+            "10: a material without a name; it is left out",
+            "1 texture statements are left out",
+            "12: `Kd` is NaN; 0.7 is taken",
+            "12: `Kd` is inf; 0.7 is taken",
+            "12: `Tf` is NaN; 1 is taken",
+        ]
+    );
+}
+
+#[test]
+fn a_missing_library_is_an_error_of_the_system() {
+    let mut report = ImportReport::default();
+    assert!(mtl::read(Path::new("no such file.mtl"), &mut report, &mut |_| true).is_err());
+}
