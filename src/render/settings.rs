@@ -33,7 +33,7 @@ pub struct RenderSettings {
     pub forced: EffectSet,
     /// Side of a tile in pixels, 1 to 4096.
     pub tile_size: u32,
-    /// Samples that are traced together at most; each holds one to three kilobytes in each thread.
+    /// Samples that are traced together at most; each holds up to four kilobytes in each thread.
     pub batch_samples: u32,
 }
 

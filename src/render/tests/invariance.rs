@@ -135,7 +135,7 @@ fn a_cancelled_render_keeps_what_is_finished() {
                 finished += u64::from(picture.film.is_finished(x, y));
             }
         }
-        assert!(finished >= 3 * 64 && finished < 37 * 29);
+        assert!((3 * 64..37 * 29).contains(&finished));
     }
 }
 
