@@ -29,11 +29,20 @@ impl Summary {
         self.stats["model"] = json!(compiled.story);
         let Some(report) = &compiled.report else { return };
         println!(
-            "compile   {} triangles to {} blocks in {:.2} s ({:.2} s of processor time)",
+            "compile   {} triangles to {}: {:.2} s ({:.2} s of processor time)",
             grouped(report.triangles),
-            grouped(report.blocks.into()),
+            counted(report.blocks.into(), "block"),
             report.seconds.total.wall,
             report.seconds.total.cpu
+        );
+        let seconds = &report.seconds;
+        println!(
+            "          {:.2} s reading, {:.2} s sorting, {:.2} s cutting, {:.2} s packing, {:.2} s writing",
+            seconds.parse.wall,
+            seconds.scatter.wall,
+            seconds.cut.wall,
+            seconds.encode.wall,
+            seconds.write.wall
         );
         println!(
             "          {}: {}, {:.2} bytes per triangle, positions {}",
@@ -62,9 +71,9 @@ impl Summary {
         let (slots, blocks) = (octree.cache().slot_count(), octree.model().blocks.len());
         let cache_bytes = Bytes(u64::from(slots) * octree.cache().slot_bytes().0);
         println!(
-            "memory    {cache_bytes} for {} of {} blocks ({:.0} %), {picture_bytes} for the picture",
+            "memory    {cache_bytes} for {} of {} ({:.0} %), {picture_bytes} for the picture",
             grouped(slots.into()),
-            grouped(blocks as u64),
+            counted(blocks as u64, "block"),
             100.0 * f64::from(slots) / blocks as f64
         );
         self.stats["cache"] = json!({
@@ -83,8 +92,12 @@ impl Summary {
             }
         };
         println!(
-            "render    {} x {}, {} samples per pixel, {} threads: {:.2} s{outcome}",
-            report.width, report.height, report.samples_per_pixel, report.threads, report.wall_seconds
+            "render    {} x {}, {} per pixel, {}: {:.2} s{outcome}",
+            report.width,
+            report.height,
+            counted(report.samples_per_pixel.into(), "sample"),
+            counted(report.threads.into(), "thread"),
+            report.wall_seconds
         );
         print_rays(report);
         print_blocks(report);
@@ -170,6 +183,11 @@ fn compile_stats(report: &CompileReport) -> Value {
             "total": seconds(&report.seconds.total),
         },
     })
+}
+
+/// `1 block`, `677 blocks`.
+fn counted(number: u64, noun: &str) -> String {
+    format!("{} {noun}{}", grouped(number), if number == 1 { "" } else { "s" })
 }
 
 /// `1757280` as `1,757,280`.
