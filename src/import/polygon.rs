@@ -85,9 +85,9 @@ impl Cutter {
         let mut normal = [0.0; 3];
         for index in 0..positions.len() {
             let (p, q) = (relative(index), relative(index + 1));
-            for axis in 0..3 {
+            for (axis, component) in normal.iter_mut().enumerate() {
                 let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-                normal[axis] += (p[u] - q[u]) * (p[v] + q[v]);
+                *component += (p[u] - q[u]) * (p[v] + q[v]);
             }
         }
         let length = |axis: usize| f64::abs(normal[axis]);

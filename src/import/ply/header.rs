@@ -115,6 +115,8 @@ pub(super) struct Header {
     pub(super) material_library: Option<Vec<u8>>,
     /// Lines of the header, `end_header` included.
     pub(super) lines: u64,
+    /// The first line that is none of the format's: some programs forget the word `comment`.
+    pub(super) stray: Option<(u64, String)>,
 }
 
 /// Reads the header and leaves the window at the first byte after it.
@@ -128,7 +130,7 @@ pub(super) fn read(window: &mut Window<'_>) -> Result<Header, ImportError> {
         Some(b"ply\r" | b"ply " | b"ply\t") => b'\n',
         _ => return Err(window.byte_error(0, "not a PLY file: it does not start with a line `ply`")),
     };
-    let mut parser = Parser { encoding: None, elements: Vec::new(), material_library: None };
+    let mut parser = Parser { encoding: None, elements: Vec::new(), material_library: None, stray: None };
     let mut position = 0;
     let mut lines = 0;
     loop {
@@ -148,7 +150,7 @@ pub(super) fn read(window: &mut Window<'_>) -> Result<Header, ImportError> {
             return Err(window.line_error(lines, reason));
         };
         position += length + 1;
-        match parser.line(rest[..length].trim_ascii()) {
+        match parser.line(rest[..length].trim_ascii(), lines) {
             Ok(true) => break,
             Ok(false) => {}
             Err(reason) => return Err(window.line_error(lines, reason)),
@@ -158,18 +160,25 @@ pub(super) fn read(window: &mut Window<'_>) -> Result<Header, ImportError> {
         return Err(window.line_error(lines, "the header has no `format` line"));
     };
     window.consume(position);
-    Ok(Header { encoding, elements: parser.elements, material_library: parser.material_library, lines })
+    Ok(Header {
+        encoding,
+        elements: parser.elements,
+        material_library: parser.material_library,
+        lines,
+        stray: parser.stray,
+    })
 }
 
 struct Parser {
     encoding: Option<Encoding>,
     elements: Vec<Element>,
     material_library: Option<Vec<u8>>,
+    stray: Option<(u64, String)>,
 }
 
 impl Parser {
-    /// Takes one line; true for `end_header`.
-    fn line(&mut self, line: &[u8]) -> Result<bool, String> {
+    /// Takes the line of that number; true for `end_header`.
+    fn line(&mut self, line: &[u8], number: u64) -> Result<bool, String> {
         let mut words = words(line);
         let keyword = words.next().unwrap_or_default();
         match keyword {
@@ -219,7 +228,9 @@ impl Parser {
                 element.properties.push(Property { name: shown(name), kind });
             }
             b"end_header" => return Ok(true),
-            other => return Err(format!("unknown header line `{}`", shown(other))),
+            _ => {
+                self.stray.get_or_insert_with(|| (number, shown(line)));
+            }
         }
         Ok(false)
     }

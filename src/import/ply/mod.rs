@@ -53,6 +53,9 @@ pub(super) fn read(
     let header = header::read(&mut window)?;
     let mut feed = Feed::new(sink);
     let mut materials = Materials::new(name, options, &mut feed)?;
+    if let Some((line, text)) = &header.stray {
+        feed.report.warn(name, Some(*line), format!("`{text}` is not a header line; it is left out"));
+    }
     if let Some(library) = &header.material_library {
         materials.load_named(library, None, &mut feed)?;
     }

@@ -55,9 +55,11 @@ fn stl_bytes() -> [Vec<u8>; 2] {
     [text.to_vec(), binary]
 }
 
+type Sample = (Vec<u8>, fn(&[u8]) -> bool);
+
 /// Every sample with its reader; `true` if it was read to the end.
-fn samples() -> Vec<(Vec<u8>, fn(&[u8]) -> bool)> {
-    let mut samples: Vec<(Vec<u8>, fn(&[u8]) -> bool)> = vec![(obj_bytes(), |bytes| obj(bytes).is_ok())];
+fn samples() -> Vec<Sample> {
+    let mut samples: Vec<Sample> = vec![(obj_bytes(), |bytes| obj(bytes).is_ok())];
     for format in ["ascii", "binary_little_endian", "binary_big_endian"] {
         samples.push((ply_bytes(format), |bytes| ply(bytes).is_ok()));
     }

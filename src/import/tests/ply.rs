@@ -53,6 +53,17 @@ fn header_lines_of_every_kind() {
 }
 
 #[test]
+fn stray_header_lines_are_warnings() {
+    let text = square("3 0 1 2\n", 1).replace("element vertex", "Created by hand\nelement vertex");
+    let (mesh, report) = ply(text).unwrap();
+    assert_eq!(mesh.triangles, [[0, 1, 2]]);
+    assert_eq!(
+        report.warnings[0].to_string(),
+        "folder/model.ply:3: `Created by hand` is not a header line; it is left out"
+    );
+}
+
+#[test]
 fn strips_restart_and_turn() {
     let text = ascii(&format!(
         "element vertex 6\n{XYZ}element tristrips 1\n{FACE}end_header\n{}9 0 1 2 3 -1 3 4 5 5\n",

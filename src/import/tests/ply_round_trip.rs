@@ -77,7 +77,7 @@ impl Model {
             (0..3).map(Ok).chain(self.extras.iter().copied().map(Err)).collect();
         let by = self.shuffle as usize % order.len();
         order.rotate_left(by);
-        if self.shuffle % 3 == 0 {
+        if self.shuffle.is_multiple_of(3) {
             order.reverse();
         }
         let mut text =
@@ -153,7 +153,7 @@ fn models() -> impl Strategy<Value = Model> {
                 extras,
                 shuffle,
                 // A record of one size takes the bulk path; leave that most of the cases.
-                vertex_list: vertex_list && shuffle % 2 == 0,
+                vertex_list: vertex_list && shuffle.is_multiple_of(2),
                 count_type: if shuffle % 4 < 2 { 1 } else { count_type },
                 index_type: if shuffle % 8 < 4 { 4 + index_type % 2 } else { index_type },
                 vertices,
