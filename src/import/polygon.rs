@@ -97,7 +97,7 @@ impl Cutter {
                 axis = other;
             }
         }
-        // A NaN or an infinity in any corner reaches every component.
+        // A NaN or an infinity in any corner reaches at least two components.
         if !(normal.iter().all(|component| component.is_finite()) && length(axis) > 0.0) {
             return false;
         }
