@@ -23,7 +23,7 @@
 //! 1. [`source`]: where a block's bytes come from
 //! 1. [`cache`]: blocks in preallocated slots
 //! 1. [`octree`]: the lazy octree
-//! 1. [`trace`]: queries
+//! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
 #![deny(missing_docs)]
