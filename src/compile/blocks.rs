@@ -5,7 +5,7 @@ use super::cut::{Box4, Cutter, Piece};
 use super::point::{Point, Real};
 use crate::block::{self, BlockInput, BlockLimits, Codec, EncodeScratch};
 use crate::error::CompileError;
-use crate::geom::{Aabb, Precision};
+use crate::geom::{Aabb, Precision, is_degenerate};
 use crate::model::SubBoxes;
 
 /// How blocks are to be made.
@@ -99,8 +99,8 @@ impl<P: Point> BlockMaker<P> {
         let count = bucket.triangles.len();
         cutter.boxes.clear();
         cutter.boxes.extend(bucket.triangles.iter().map(|triangle| {
-            let [a, b, c] = triangle.map(|vertex| bucket.vertices[vertex as usize].real());
-            Box4::of(a, b, c)
+            let real = |corner: usize| bucket.vertices[triangle[corner] as usize].real();
+            Box4::of(real(0), real(1), real(2))
         }));
         cutter.order.clear();
         cutter.order.extend(0..count as u32);
@@ -116,7 +116,13 @@ impl<P: Point> BlockMaker<P> {
     /// those on its border.
     fn triangles_per_block(&self, bucket: &Bucket<P>) -> usize {
         let limits = self.settings.limits;
-        let ratio = bucket.vertices.len() as f64 / bucket.triangles.len() as f64;
+        let (vertices, triangles) = (bucket.vertices.len(), bucket.triangles.len());
+        if limits.fits(vertices, triangles, false)
+            && limits.fits(vertices, triangles, P::is_wide(&bucket.vertices, self.settings.precision))
+        {
+            return triangles;
+        }
+        let ratio = vertices as f64 / triangles as f64;
         let bytes = 10.0 + 12.0 * ratio * 1.06;
         ((f64::from(limits.block_bytes_max) / bytes) as usize).clamp(1, limits.triangle_count_max())
     }
@@ -157,14 +163,15 @@ impl<P: Point> BlockMaker<P> {
         let vertex_count_max = self.settings.limits.vertex_count_max();
         for &index in &self.cutter.order[piece.start..piece.start + piece.len] {
             let index = index as usize;
-            let corners = bucket.triangles[index].map(|vertex| {
+            let mut corners = [0; 3];
+            for (corner, vertex) in corners.iter_mut().zip(bucket.triangles[index]) {
                 let entry = &mut self.local_of[vertex as usize];
                 if *entry >> 16 != number {
                     *entry = number << 16 | self.vertices.len() as u32;
                     self.vertices.push(bucket.vertices[vertex as usize]);
                 }
-                *entry as u16
-            });
+                *corner = *entry as u16;
+            }
             if self.vertices.len() > vertex_count_max {
                 return false;
             }
@@ -214,11 +221,15 @@ impl<P: Point> BlockMaker<P> {
 
     /// Triangles of exactly zero area.
     fn degenerate_count(&self) -> u64 {
-        let is_degenerate = |corners: &&[u16; 3]| {
-            let corners = corners.map(|corner| self.vertices[usize::from(corner)].real().map(Real::to_f64));
-            crate::geom::is_degenerate(&corners)
+        let position = |corner: u16| {
+            let [x, y, z] = self.vertices[usize::from(corner)].real();
+            [x.to_f64(), y.to_f64(), z.to_f64()]
         };
-        self.triangles.iter().filter(is_degenerate).count() as u64
+        let mut count = 0;
+        for &[a, b, c] in &self.triangles {
+            count += u64::from(is_degenerate(&[position(a), position(b), position(c)]));
+        }
+        count
     }
 }
 
@@ -245,8 +256,8 @@ impl DuplicateTable {
         let mut duplicates = 0;
         for &[a, b, c] in triangles {
             let (low, high) = (a.min(b), a.max(b));
-            let [a, b, c] = [low.min(c), low.max(c.min(high)), high.max(c)].map(u64::from);
-            let entry = (a << 32 | b << 16 | c) << 16 | self.number;
+            let (a, b, c) = (low.min(c), low.max(c.min(high)), high.max(c));
+            let entry = u64::from(a) << 48 | u64::from(b) << 32 | u64::from(c) << 16 | self.number;
             let hash = entry.wrapping_mul(0x9e37_79b9_7f4a_7c15);
             let mut slot = (hash >> 32) as usize & mask;
             loop {

@@ -82,8 +82,8 @@ impl<P: Point> Bucket<P> {
             };
             merged.push(index);
         }
-        triangles
-            .extend(chunk.indices.iter().map(|corners| corners.map(|corner| merged[usize::from(corner)])));
+        let at = |corner: u16| merged[usize::from(corner)];
+        triangles.extend(chunk.triangles.iter().map(|&[a, b, c]| [at(a), at(b), at(c)]));
         let mut id = chunk.first_id;
         for &[gap, len] in &chunk.id_runs {
             id += u64::from(gap);

@@ -2,9 +2,10 @@
 //! nothing else. Written and read by one process, so it has no version and no checksum.
 //!
 //! ```text
-//! u16 vertices, u16 triangles, u16 id runs, u16 material runs, u64 first id
+//! u16 vertices, u16 triangles, u16 escapes, u16 id runs, u16 material runs, 6 bytes 0, u64 first id
 //! vertices    f32 x 3 or i64 x 3 each, distinct source vertices in first-use order
-//! triangles   u16 x 3 each
+//! triangles   u8 x 3 each: how many vertices before the next new one (0 is that one itself); 255 for an escape
+//! escapes     u16 each, for what does not fit
 //! id runs     u32 gap since the end of the last run, u32 length
 //! materials   u16 length, u16 material
 //! ```
@@ -14,7 +15,9 @@ use crate::error::CompileError;
 
 /// Most triangles in a chunk, so that counts and indices fit in 16 bits.
 pub(super) const CHUNK_TRIANGLES_MAX: usize = 1024;
-const HEADER_BYTES: usize = 16;
+const HEADER_BYTES: usize = 24;
+/// A distance that stands among the escapes.
+const ESCAPE: u8 = 255;
 /// Slots of the table that finds a vertex again; at most three quarters full.
 const TABLE_SLOTS: usize = 4 * CHUNK_TRIANGLES_MAX;
 
@@ -38,7 +41,8 @@ pub(super) struct ChunkWriter<P> {
     table: Vec<u64>,
     stamp: u64,
     vertices: Vec<P>,
-    indices: Vec<[u16; 3]>,
+    distances: Vec<[u8; 3]>,
+    escapes: Vec<u16>,
     id_runs: Vec<[u32; 2]>,
     bytes: Vec<u8>,
 }
@@ -49,7 +53,8 @@ impl<P: Point> ChunkWriter<P> {
             table: vec![0; TABLE_SLOTS],
             stamp: 0,
             vertices: Vec::with_capacity(3 * CHUNK_TRIANGLES_MAX),
-            indices: Vec::with_capacity(CHUNK_TRIANGLES_MAX),
+            distances: Vec::with_capacity(CHUNK_TRIANGLES_MAX),
+            escapes: Vec::new(),
             id_runs: Vec::new(),
             bytes: Vec::new(),
         }
@@ -71,33 +76,48 @@ impl<P: Point> ChunkWriter<P> {
         self.begin();
         let mut next_id = 0;
         for &[a, b, c, id] in triangles {
-            let mut local = [0; 3];
-            for (corner, vertex) in [a, b, c].into_iter().enumerate() {
-                local[corner] = match self.find(vertex) {
-                    Ok(local) => local,
-                    Err(slot) => {
-                        let local = self.vertices.len() as u16;
-                        self.vertices.push(lookup(vertex)?);
-                        self.table[slot] = self.stamp << 48 | u64::from(local) << 32 | u64::from(vertex);
-                        local
+            let mut distances = [0; 3];
+            for (distance, vertex) in distances.iter_mut().zip([a, b, c]) {
+                match self.find(vertex) {
+                    Ok(local) => {
+                        let far = self.vertices.len() as u16 - local;
+                        *distance = if far < u16::from(ESCAPE) {
+                            far as u8
+                        } else {
+                            self.escapes.push(far);
+                            ESCAPE
+                        };
                     }
-                };
+                    Err(slot) => {
+                        let local = self.vertices.len() as u64;
+                        self.vertices.push(lookup(vertex)?);
+                        self.table[slot] = self.stamp << 48 | local << 32 | u64::from(vertex);
+                    }
+                }
             }
-            self.indices.push(local);
+            self.distances.push(distances);
             match self.id_runs.last_mut() {
                 Some(run) if id == next_id => run[1] += 1,
                 _ => self.id_runs.push([id - next_id, 1]),
             }
             next_id = id + 1;
         }
-        let counts = [self.vertices.len(), self.indices.len(), self.id_runs.len(), materials.len()];
+        let counts = [
+            self.vertices.len(),
+            self.distances.len(),
+            self.escapes.len(),
+            self.id_runs.len(),
+            materials.len(),
+        ];
         self.bytes.clear();
         for count in counts {
             self.bytes.extend_from_slice(&(count as u16).to_ne_bytes());
         }
+        self.bytes.extend_from_slice(&[0; 6]);
         self.bytes.extend_from_slice(&first_id.to_ne_bytes());
         self.bytes.extend_from_slice(bytemuck::cast_slice(&self.vertices));
-        self.bytes.extend_from_slice(bytemuck::cast_slice(&self.indices));
+        self.bytes.extend_from_slice(self.distances.as_flattened());
+        self.bytes.extend_from_slice(bytemuck::cast_slice(&self.escapes));
         self.bytes.extend_from_slice(bytemuck::cast_slice(&self.id_runs));
         self.bytes.extend_from_slice(bytemuck::cast_slice(materials));
         Ok(&self.bytes)
@@ -110,7 +130,8 @@ impl<P: Point> ChunkWriter<P> {
             self.stamp = 1;
         }
         self.vertices.clear();
-        self.indices.clear();
+        self.distances.clear();
+        self.escapes.clear();
         self.id_runs.clear();
     }
 
@@ -135,7 +156,9 @@ impl<P: Point> ChunkWriter<P> {
 #[derive(Debug, Default)]
 pub(super) struct Chunk<P> {
     pub(super) vertices: Vec<P>,
-    pub(super) indices: Vec<[u16; 3]>,
+    /// Indices of triangles.
+    pub(super) triangles: Vec<[u16; 3]>,
+    escapes: Vec<u16>,
     pub(super) id_runs: Vec<[u32; 2]>,
     pub(super) materials: Vec<[u16; 2]>,
     pub(super) first_id: u64,
@@ -145,7 +168,8 @@ impl<P: Point> Chunk<P> {
     pub(super) fn new() -> Chunk<P> {
         Chunk {
             vertices: Vec::new(),
-            indices: Vec::new(),
+            triangles: Vec::new(),
+            escapes: Vec::new(),
             id_runs: Vec::new(),
             materials: Vec::new(),
             first_id: 0,
@@ -157,12 +181,40 @@ impl<P: Point> Chunk<P> {
         let Some((header, mut rest)) = bytes.split_at_checked(HEADER_BYTES) else { return false };
         let count =
             |index: usize| usize::from(u16::from_ne_bytes([header[2 * index], header[2 * index + 1]]));
-        self.first_id = bytemuck::pod_read_unaligned(&header[8..]);
-        take(&mut rest, count(0), &mut self.vertices)
-            && take(&mut rest, count(1), &mut self.indices)
-            && take(&mut rest, count(2), &mut self.id_runs)
-            && take(&mut rest, count(3), &mut self.materials)
+        self.first_id = bytemuck::pod_read_unaligned(&header[16..]);
+        if !take(&mut rest, count(0), &mut self.vertices) {
+            return false;
+        }
+        let Some((distances, mut rest)) = rest.split_at_checked(3 * count(1)) else { return false };
+        take(&mut rest, count(2), &mut self.escapes)
+            && take(&mut rest, count(3), &mut self.id_runs)
+            && take(&mut rest, count(4), &mut self.materials)
             && rest.is_empty()
+            && self.resolve(distances)
+    }
+
+    /// Turns distances into indices; false if one leads nowhere.
+    fn resolve(&mut self, distances: &[u8]) -> bool {
+        let (distances, _) = distances.as_chunks::<3>();
+        let mut escapes = self.escapes.iter();
+        let mut next = 0_u16;
+        let mut lowest = 0_i32;
+        self.triangles.clear();
+        self.triangles.reserve(distances.len());
+        for triangle in distances {
+            let mut corners = [0; 3];
+            for (corner, &distance) in corners.iter_mut().zip(triangle) {
+                let far = match distance {
+                    ESCAPE => escapes.next().copied().unwrap_or(u16::MAX),
+                    distance => u16::from(distance),
+                };
+                lowest = lowest.min(i32::from(next) - i32::from(far));
+                *corner = next.wrapping_sub(far);
+                next += u16::from(far == 0);
+            }
+            self.triangles.push(corners);
+        }
+        lowest >= 0 && usize::from(next) == self.vertices.len()
     }
 }
 

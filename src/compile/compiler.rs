@@ -14,12 +14,12 @@ use super::options::{
 use super::output::{Output, directory_of, name_of};
 use super::parallel::{Worker, encode_buckets};
 use super::point::Point;
-use super::precision::{Decision, RoundingWatch, coarsest_lattice};
+use super::precision::{Decision, RoundingWatch, coarsest_lattice, shortest_square};
 use super::refine::{refine, triangle_count};
-use super::scatter::{Fault, Scatter, Scattered};
+use super::scatter::{Scatter, Scattered};
 use super::spill::SpillPlace;
 use super::temporary::DiskQuota;
-use super::vertices::{Narrow, OnLattice, Rounded, VertexStore};
+use super::vertices::{Keep, Narrow, OnLattice, VertexStore};
 use crate::block::BlockLimits;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::CompileError;
@@ -36,6 +36,10 @@ const BUCKET_TRIANGLES: u64 = 64 << 10;
 const QUEUE_TRIANGLES: usize = 4096;
 /// The callback is asked at least once in so many triangles.
 const PROGRESS_TRIANGLES: u64 = 1 << 18;
+/// About what cutting takes per thread for buckets of common size.
+const WORKER_BYTES: u64 = 20 << 20;
+/// Seen by nobody: who sets [`Keep::Rounded`] asks [`Compiler::needs`].
+const NEEDS_EXACT: &str = "the automatic precision needs the vertices as they came";
 /// Spill buffers: vertices (two), faces, chunks.
 const SPILL_BUFFERS: u64 = 4 << 20;
 
@@ -53,6 +57,8 @@ pub struct Compiler<'p> {
     store: VertexStore,
     grid: Option<Grid>,
     stage: Stage,
+    /// What is kept of f64 vertices.
+    keep: Keep,
     watch: RoundingWatch,
     queue: Vec<[u32; 3]>,
     queue_material: u16,
@@ -136,7 +142,12 @@ impl<'p> Compiler<'p> {
             source: SourceRecord::default(),
             materials: Vec::new(),
             grid: Some(Grid::new()),
-            watch: RoundingWatch::default(),
+            keep: match options.precision {
+                PrecisionChoice::Auto => Keep::Both,
+                PrecisionChoice::Float32 => Keep::Rounded,
+                PrecisionChoice::Lattice { .. } => Keep::Exact,
+            },
+            watch: RoundingWatch::new(),
             queue: Vec::new(),
             queue_material: 0,
             triangles: 0,
@@ -158,6 +169,21 @@ impl<'p> Compiler<'p> {
         self.source = source;
     }
 
+    /// Whether `Auto` turned out to need more of the vertices than was kept, and what; asked after an error.
+    pub(super) fn needs(&self) -> Option<Keep> {
+        let hoped = self.keep == Keep::Rounded && self.options.precision == PrecisionChoice::Auto;
+        let needs = if self.watch.is_certain() { Keep::Exact } else { Keep::Both };
+        (hoped && self.watch.exceeded()).then_some(needs)
+    }
+
+    /// What `Auto` shall keep of f64 vertices. [`Keep::Rounded`] hopes for `Float32`: the mesh has to come once more if
+    /// [`Compiler::needs`] says so. [`Keep::Exact`] knows that it will not be `Float32`.
+    pub(super) fn set_keep(&mut self, keep: Keep) {
+        if self.options.precision == PrecisionChoice::Auto {
+            self.keep = keep;
+        }
+    }
+
     fn ask(&mut self, phase: Phase, fraction: Option<f64>) -> Result<(), CompileError> {
         self.asked_at = self.triangles;
         match (self.progress)(Progress { phase, fraction, triangles: self.triangles }) {
@@ -175,6 +201,11 @@ impl<'p> Compiler<'p> {
         let result = work(self);
         self.left = self.scatter.add_since(entered);
         result
+    }
+
+    /// Sends on what was gathered, so that [`Compiler::needs`] speaks for the whole mesh.
+    pub(super) fn drain(&mut self) -> Result<(), CompileError> {
+        self.drain_queue()
     }
 
     /// Sends the queue on.
@@ -196,13 +227,18 @@ impl<'p> Compiler<'p> {
             Stage::Waiting(faces) => {
                 if self.options.precision == PrecisionChoice::Auto {
                     self.watch.watch(triangles, &mut self.store)?;
+                    if self.watch.exceeded() && self.keep == Keep::Rounded {
+                        return Err(CompileError::Limit { reason: NEEDS_EXACT.into() });
+                    }
                 }
                 faces.push(triangles, material)
             }
-            Stage::Narrow(scatter) => scatter_narrow(scatter, &mut self.store, triangles, material, first_id),
+            Stage::Narrow(scatter) => {
+                scatter.add(triangles, material, first_id, &mut Narrow(&mut self.store))
+            }
             Stage::Lattice(scatter, lattice) => {
-                let mut lookup = OnLattice { store: &mut self.store, lattice: *lattice };
-                scatter.add(triangles, material, first_id, &mut lookup, lattice_fault)
+                let mut lookup = OnLattice::new(&mut self.store, *lattice);
+                scatter.add(triangles, material, first_id, &mut lookup)
             }
             Stage::Done => Ok(()),
         }
@@ -231,7 +267,10 @@ impl<'p> Compiler<'p> {
         };
         let map = grid.into_buckets(vertices_max);
         let share = self.budget.limit().0 / 12;
-        let spill_headroom = self.budget.limit().0 / 4;
+        // What the cut needs later, beyond the memory of the vertices, which is free by then.
+        let threads = self.pool.as_ref().map_or(1, |pool| pool.current_num_threads()) as u64;
+        let needed_later = (WORKER_BYTES * threads).min(self.budget.limit().0 / 3);
+        let spill_headroom = (1 << 20) + needed_later.saturating_sub(self.store.memory_bytes() + GRID_BYTES);
         let place = self.place.clone();
         let skip = self.options.skip_not_finite;
         let stage = match precision {
@@ -243,6 +282,9 @@ impl<'p> Compiler<'p> {
         };
         let Stage::Waiting(mut faces) = std::mem::replace(&mut self.stage, stage) else { return Ok(()) };
         let total = known.max(1) as f64;
+        if known > 0 {
+            self.ask(Phase::Scatter, Some(0.0))?;
+        }
         faces.replay(|triangles, material, first_id| {
             let before = first_id / PROGRESS_TRIANGLES;
             if (first_id + triangles.len() as u64) / PROGRESS_TRIANGLES != before {
@@ -266,23 +308,28 @@ impl<'p> Compiler<'p> {
         }
         let decision = match (self.early_decision(), &mut self.stage) {
             (Some(decision), _) => decision,
-            (None, Stage::Waiting(faces)) if self.watch.exceeded() => {
-                let magnitude = self.grid.as_ref().map_or(0.0, Grid::magnitude_max);
-                coarsest_lattice(faces, &mut self.store, magnitude)?
+            (None, Stage::Waiting(faces))
+                if self.watch.exceeded() || matches!(self.store, VertexStore::Exact(_)) =>
+            {
+                let mut shortest = self.watch.shortest_square();
+                if self.watch.exceeded() {
+                    faces.replay(|triangles, _, _| {
+                        shortest = shortest_square(triangles, &mut self.store, shortest)?;
+                        Ok(())
+                    })?;
+                }
+                coarsest_lattice(shortest, self.grid.as_ref().map_or(0.0, Grid::magnitude_max))
             }
             (None, _) => Decision { precision: Precision::Float32, tolerance_met: true },
         };
         self.begin_scatter(decision.precision)?;
         match std::mem::replace(&mut self.stage, Stage::Done) {
             Stage::Narrow(scatter) => {
-                let scattered = match &mut self.store {
-                    VertexStore::Float32(pages) => scatter.finish(&mut Narrow(pages))?,
-                    VertexStore::Float64 { rounded, .. } => scatter.finish(&mut Rounded(rounded))?,
-                };
+                let scattered = scatter.finish(&mut Narrow(&mut self.store))?;
                 self.finish_blocks(scattered, decision)
             }
             Stage::Lattice(scatter, lattice) => {
-                let mut lookup = OnLattice { store: &mut self.store, lattice };
+                let mut lookup = OnLattice::new(&mut self.store, lattice);
                 let scattered = scatter.finish(&mut lookup)?;
                 self.finish_blocks(scattered, decision)
             }
@@ -419,7 +466,7 @@ impl MeshSink for Compiler<'_> {
                 let reason = "the model has more than 2^32 - 1 vertices; split it".into();
                 return Err(CompileError::Limit { reason });
             }
-            compiler.store.extend(batch, &compiler.place, headroom)
+            compiler.store.extend(batch, compiler.keep, &compiler.place, headroom)
         })
     }
 
@@ -480,39 +527,4 @@ fn headroom(budget: &MemoryBudget) -> u64 {
 
 fn unknown_vertex(vertex: u64) -> CompileError {
     CompileError::Limit { reason: format!("a face names vertex {vertex}, which has not come yet") }
-}
-
-fn scatter_narrow(
-    scatter: &mut Scatter<[f32; 3]>,
-    store: &mut VertexStore,
-    triangles: &[[u32; 3]],
-    material: u16,
-    first_id: u64,
-) -> Result<(), CompileError> {
-    match store {
-        VertexStore::Float32(pages) => {
-            let mut lookup = Narrow(pages);
-            scatter.add(triangles, material, first_id, &mut lookup, |_, _| Ok(Fault::NotFinite))
-        }
-        VertexStore::Float64 { rounded, exact, .. } => {
-            let mut lookup = Rounded(rounded);
-            scatter.add(triangles, material, first_id, &mut lookup, |_, triangle| {
-                for vertex in triangle {
-                    if exact.get(vertex)?.iter().any(|x| !x.is_finite()) {
-                        return Ok(Fault::NotFinite);
-                    }
-                }
-                Ok(Fault::OutOfRange)
-            })
-        }
-    }
-}
-
-fn lattice_fault(lookup: &mut OnLattice<'_>, triangle: [u32; 3]) -> Result<Fault, CompileError> {
-    for vertex in triangle {
-        if lookup.store.position(vertex)?.iter().any(|x| !x.is_finite()) {
-            return Ok(Fault::NotFinite);
-        }
-    }
-    Ok(Fault::OutOfRange)
 }

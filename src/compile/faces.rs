@@ -4,7 +4,7 @@ use super::spill::{Spill, SpillPlace};
 use crate::error::{BudgetError, CompileError};
 
 /// Most triangles in a record.
-const RECORD_TRIANGLES_MAX: usize = 4096;
+const RECORD_TRIANGLES_MAX: usize = 512;
 const HEADER_BYTES: usize = 12;
 
 /// Triangles in records of one material each: `u16 triangles - 1, u16 material, u32 base, u32 bytes per index`, then three

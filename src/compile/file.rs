@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::compiler::Compiler;
 use super::options::{CompileOptions, CompileReport, Control, Progress};
+use super::vertices::Keep;
 use crate::budget::MemoryBudget;
 use crate::error::{CompileError, ImportError};
 use crate::import::{ImportOptions, import_file, source_record};
@@ -20,11 +21,28 @@ pub fn compile_file(
     progress: &mut dyn FnMut(Progress) -> Control,
 ) -> Result<CompileReport, CompileError> {
     let source = source_record(input)?;
-    let mut compiler = Compiler::new(output, options.clone(), budget, progress)?;
-    compiler.set_source(source);
-    match import_file(input, &ImportOptions::default(), &mut compiler) {
-        Ok(_) => compiler.finish(),
-        Err(ImportError::Sink(error)) => Err(*error),
-        Err(error) => Err(error.into()),
+    // A file can be read again, so the rare need for exact vertices costs a second reading and not the space to keep them
+    // every time.
+    let mut keep = Keep::Rounded;
+    loop {
+        let mut compiler = Compiler::new(output, options.clone(), budget, &mut *progress)?;
+        compiler.set_source(source);
+        compiler.set_keep(keep);
+        let imported = import_file(input, &ImportOptions::default(), &mut compiler);
+        let imported = imported.map_err(sink_error).and_then(|_| compiler.drain());
+        match (imported, compiler.needs()) {
+            // Asks at most once: with more kept there is nothing to need.
+            (Err(_), Some(needed)) => keep = needed,
+            (Err(error), None) => return Err(error),
+            (Ok(()), _) => return compiler.finish(),
+        }
+    }
+}
+
+/// The error of an import, without the wrapping that it got on its way through the reader.
+fn sink_error(error: ImportError) -> CompileError {
+    match error {
+        ImportError::Sink(error) => *error,
+        other => CompileError::Import(other),
     }
 }

@@ -67,7 +67,8 @@ impl Grid {
     }
 
     fn cell(&self, scale: f64, point: [f64; 3]) -> usize {
-        let [x, y, z] = [0, 1, 2].map(|axis| cell_coordinate(point[axis] * scale - self.origin[axis]));
+        let at = |axis: usize| cell_coordinate(point[axis] * scale - self.origin[axis]);
+        let (x, y, z) = (at(0), at(1), at(2));
         x + SIDE * (y + SIDE * z)
     }
 
@@ -176,7 +177,8 @@ impl BucketMap {
     /// The bucket of the point `sum * third_of_unit`, where `scale` is `third_of_unit` times [`BucketMap::scale`].
     #[inline]
     pub(super) fn bucket(&self, sum: [f64; 3], scale: f64) -> usize {
-        let [x, y, z] = [0, 1, 2].map(|axis| cell_coordinate(sum[axis] * scale - self.origin[axis]));
+        let at = |axis: usize| cell_coordinate(sum[axis] * scale - self.origin[axis]);
+        let (x, y, z) = (at(0), at(1), at(2));
         usize::from(self.of_cell[x + SIDE * (y + SIDE * z)])
     }
 

@@ -54,6 +54,11 @@ impl<T: Pod> Pages<T> {
         self.len
     }
 
+    /// What the frames hold of the budget.
+    pub(super) fn memory_bytes(&self) -> u64 {
+        (self.frames.len() * PAGE_ITEMS * size_of::<T>()) as u64
+    }
+
     pub(super) fn spill_bytes(&self) -> u64 {
         self.spill.as_ref().map_or(0, Spill::file_bytes)
     }

@@ -46,13 +46,15 @@ impl Point for [f32; 3] {
     #[inline]
     fn sum(a: Self, b: Self, c: Self) -> Option<[f64; 3]> {
         // Sums of three f32 cannot overflow f64, so the total is finite if and only if every term is.
-        let sum = [0, 1, 2].map(|axis| f64::from(a[axis]) + f64::from(b[axis]) + f64::from(c[axis]));
+        let axis = |axis: usize| f64::from(a[axis]) + f64::from(b[axis]) + f64::from(c[axis]);
+        let sum = [axis(0), axis(1), axis(2)];
         (sum[0] + sum[1] + sum[2]).is_finite().then_some(sum)
     }
 
     #[inline]
     fn hash(self) -> u64 {
-        let [x, y, z] = self.map(|x| u64::from(x.to_bits()));
+        let bits = |axis: usize| u64::from(self[axis].to_bits());
+        let (x, y, z) = (bits(0), bits(1), bits(2));
         let hash = (x << 32 | y).wrapping_mul(MULTIPLIERS[0]) ^ z.wrapping_mul(MULTIPLIERS[1]);
         (hash ^ hash >> 32).wrapping_mul(MULTIPLIERS[2])
     }
@@ -67,7 +69,8 @@ impl Point for [f32; 3] {
 
     #[inline]
     fn same(self, other: Self) -> bool {
-        self.map(f32::to_bits) == other.map(f32::to_bits)
+        let same = |axis: usize| self[axis].to_bits() == other[axis].to_bits();
+        same(0) & same(1) & same(2)
     }
 }
 
@@ -77,7 +80,7 @@ impl Point for [i64; 3] {
     #[inline]
     fn real(self) -> [f64; 3] {
         // Within 2^52, so exact.
-        self.map(|x| x as f64)
+        [self[0] as f64, self[1] as f64, self[2] as f64]
     }
 
     #[inline]
@@ -85,7 +88,8 @@ impl Point for [i64; 3] {
         if [a, b, c].iter().flatten().any(|x| *x == OUTSIDE) {
             return None;
         }
-        Some([0, 1, 2].map(|axis| a[axis] as f64 + b[axis] as f64 + c[axis] as f64))
+        let axis = |axis: usize| a[axis] as f64 + b[axis] as f64 + c[axis] as f64;
+        Some([axis(0), axis(1), axis(2)])
     }
 
     #[inline]
@@ -117,6 +121,12 @@ pub(super) trait Real: Copy + PartialOrd + Send + Sync + std::fmt::Debug {
     const INFINITY: Self;
     const NEG_INFINITY: Self;
     fn to_f64(self) -> f64;
+    /// The nearest.
+    fn from_f64(x: f64) -> Self;
+    /// The mean, rounded; cannot overflow.
+    fn middle(self, other: Self) -> Self;
+    /// The whole part of `(self - min) * scale`, which is not negative (0 for NaN).
+    fn cell(self, min: Self, scale: Self) -> u32;
 
     /// The lesser; neither is NaN.
     #[inline]
@@ -136,6 +146,21 @@ impl Real for f32 {
     const NEG_INFINITY: f32 = f32::NEG_INFINITY;
 
     #[inline]
+    fn from_f64(x: f64) -> f32 {
+        x as f32
+    }
+
+    #[inline]
+    fn middle(self, other: f32) -> f32 {
+        0.5 * self + 0.5 * other
+    }
+
+    #[inline]
+    fn cell(self, min: f32, scale: f32) -> u32 {
+        ((self - min) * scale) as u32
+    }
+
+    #[inline]
     fn to_f64(self) -> f64 {
         f64::from(self)
     }
@@ -144,6 +169,21 @@ impl Real for f32 {
 impl Real for f64 {
     const INFINITY: f64 = f64::INFINITY;
     const NEG_INFINITY: f64 = f64::NEG_INFINITY;
+
+    #[inline]
+    fn from_f64(x: f64) -> f64 {
+        x
+    }
+
+    #[inline]
+    fn middle(self, other: f64) -> f64 {
+        0.5 * self + 0.5 * other
+    }
+
+    #[inline]
+    fn cell(self, min: f64, scale: f64) -> u32 {
+        ((self - min) * scale) as u32
+    }
 
     #[inline]
     fn to_f64(self) -> f64 {

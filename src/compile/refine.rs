@@ -95,12 +95,12 @@ impl Grid {
         for_each_sum(scattered, bucket, range, |sum| counts[grid.cell(sum)] += 1)?;
         // In Morton order, so that neighbouring cells come into one part.
         let (mut part, mut sum) = (0, 0);
-        for code in 0..counts.len() {
-            if sum > 0 && sum + counts[code] > PART_TRIANGLES {
+        for (count, part_of) in counts.iter().zip(&mut grid.part_of) {
+            if sum > 0 && sum + count > PART_TRIANGLES {
                 (part, sum) = (part + 1, 0);
             }
-            sum += counts[code];
-            grid.part_of[code] = part;
+            sum += count;
+            *part_of = part;
         }
         Ok((part > 0).then_some(grid))
     }

@@ -27,6 +27,7 @@ pub(super) struct Scattered<P> {
 }
 
 /// What is wrong with a triangle that has no valid centroid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
     /// A coordinate is NaN or infinite.
     NotFinite,
@@ -97,19 +98,18 @@ impl<P: Point> Scatter<P> {
     /// Places triangles with ids from `first_id` on.
     ///
     /// # Errors
-    /// Spill cannot be written or read, or a triangle is not valid and may not be skipped; `fault` says why it is not.
+    /// Spill cannot be written or read, or a triangle is not valid and may not be skipped.
     pub(super) fn add<L: Lookup<Point = P>>(
         &mut self,
         triangles: &[[u32; 3]],
         material: u16,
         first_id: u64,
         lookup: &mut L,
-        mut fault: impl FnMut(&mut L, [u32; 3]) -> Result<Fault, CompileError>,
     ) -> Result<(), CompileError> {
         for (&[a, b, c], id) in triangles.iter().zip(first_id..) {
             let corners = (lookup.get(a)?, lookup.get(b)?, lookup.get(c)?);
             let Some(sum) = P::sum(corners.0, corners.1, corners.2) else {
-                match fault(lookup, [a, b, c])? {
+                match lookup.fault([a, b, c])? {
                     Fault::NotFinite if self.skip_not_finite => {
                         self.skipped += 1;
                         continue;

@@ -1,4 +1,4 @@
-//! Append-only store of bytes: in memory while it fits its share of the budget, then in a temporary file.
+//! Append-only store of bytes: the first in memory, as many as the budget allows, the rest in a temporary file.
 
 use std::ffi::OsString;
 use std::io;
@@ -26,10 +26,11 @@ pub(super) struct SpillPlace {
 pub(super) struct Spill {
     place: SpillPlace,
     suffix: &'static str,
-    /// The bytes from `file_bytes` on, in pieces of `SEGMENT_BYTES`, all full but the last.
+    /// The first bytes, in pieces of `SEGMENT_BYTES`, all full but the last. Once there is a file the last is its write buffer.
     segments: Vec<Vec<u8>>,
     reservations: Vec<Reservation>,
     file: Option<TemporaryFile>,
+    /// Bytes in the file: they come after those of all segments but the last.
     file_bytes: u64,
     len: u64,
     /// What must stay in the budget for others when a piece is added in memory.
@@ -43,16 +44,9 @@ impl Spill {
     /// The budget cannot hold one piece.
     pub(super) fn new(place: SpillPlace, suffix: &'static str, headroom: u64) -> Result<Spill, BudgetError> {
         let first = place.budget.reserve(Bytes(SEGMENT_BYTES as u64), "a spill buffer")?;
-        Ok(Spill {
-            place,
-            suffix,
-            segments: vec![Vec::new()],
-            reservations: vec![first],
-            file: None,
-            file_bytes: 0,
-            len: 0,
-            headroom,
-        })
+        let segments = vec![Vec::new()];
+        let reservations = vec![first];
+        Ok(Spill { place, suffix, segments, reservations, file: None, file_bytes: 0, len: 0, headroom })
     }
 
     /// How many bytes were appended.
@@ -70,7 +64,7 @@ impl Spill {
         let offset = self.len;
         self.len += bytes.len() as u64;
         while !bytes.is_empty() {
-            // There is always a last segment: `new` and `grow` keep one.
+            // `new` makes a first segment, and none is ever taken away.
             let last = self.segments.last_mut().expect("never empty");
             if last.capacity() == 0 {
                 last.reserve_exact(SEGMENT_BYTES);
@@ -85,22 +79,16 @@ impl Spill {
         Ok(offset)
     }
 
-    /// Makes room for another segment: one more in memory, or the full ones to the file.
+    /// Makes room after the last segment is full: one more in memory, or by writing it to the file.
     fn grow(&mut self) -> Result<(), CompileError> {
         let budget = &self.place.budget;
-        if self.file.is_none() && budget.available().0 >= self.headroom + SEGMENT_BYTES as u64 {
-            if let Ok(reservation) = budget.reserve(Bytes(SEGMENT_BYTES as u64), "a spill buffer") {
-                self.reservations.push(reservation);
-                self.segments.push(Vec::new());
-                return Ok(());
-            }
-        }
-        self.write_out()
-    }
-
-    /// Moves everything in memory to the file; keeps one segment as the write buffer.
-    pub(super) fn write_out(&mut self) -> Result<(), CompileError> {
-        if self.len == self.file_bytes {
+        let fits = budget.available().0 >= self.headroom.saturating_add(SEGMENT_BYTES as u64);
+        if self.file.is_none()
+            && fits
+            && let Ok(reservation) = budget.reserve(Bytes(SEGMENT_BYTES as u64), "a spill buffer")
+        {
+            self.reservations.push(reservation);
+            self.segments.push(Vec::new());
             return Ok(());
         }
         let file = match &mut self.file {
@@ -111,34 +99,37 @@ impl Spill {
                 none.insert(file)
             }
         };
-        for segment in &self.segments {
-            let write = |error| CompileError::Write { path: file.path().to_path_buf(), error };
-            self.place.quota.take(segment.len() as u64).map_err(write)?;
-            write_at(file.file(), self.file_bytes, segment).map_err(write)?;
-            self.file_bytes += segment.len() as u64;
-        }
-        self.segments.truncate(1);
-        self.segments[0].clear();
-        self.reservations.truncate(1);
+        let write = |error| CompileError::Write { path: file.path().to_path_buf(), error };
+        // As in `append`.
+        let segment = self.segments.last_mut().expect("never empty");
+        self.place.quota.take(segment.len() as u64).map_err(write)?;
+        write_at(file.file(), self.file_bytes, segment).map_err(write)?;
+        self.file_bytes += segment.len() as u64;
+        segment.clear();
         Ok(())
     }
 
     /// Fills `into` with the bytes from `offset` on. The range must have been appended.
     pub(super) fn read(&self, mut offset: u64, mut into: &mut [u8]) -> Result<(), CompileError> {
-        if offset < self.file_bytes
-            && let Some(file) = &self.file
-        {
-            let count = into.len().min((self.file_bytes - offset) as usize);
-            let (head, tail) = into.split_at_mut(count);
-            read_at(file.file(), offset, head).map_err(|error| spill_read_error(file.path(), error))?;
-            offset += count as u64;
-            into = tail;
-        }
+        let memory_bytes = ((self.segments.len() - 1) * SEGMENT_BYTES) as u64;
         while !into.is_empty() {
-            let at = (offset - self.file_bytes) as usize;
-            let segment = &self.segments[at / SEGMENT_BYTES][at % SEGMENT_BYTES..];
-            let count = into.len().min(segment.len());
-            into[..count].copy_from_slice(&segment[..count]);
+            let count = match &self.file {
+                Some(file) if offset >= memory_bytes && offset < memory_bytes + self.file_bytes => {
+                    let at = offset - memory_bytes;
+                    let count = into.len().min((self.file_bytes - at) as usize);
+                    read_at(file.file(), at, &mut into[..count])
+                        .map_err(|error| spill_read_error(file.path(), error))?;
+                    count
+                }
+                _ => {
+                    // In one of the segments before the file, or in the last, which comes after it.
+                    let at = if offset < memory_bytes { offset } else { offset - self.file_bytes } as usize;
+                    let segment = &self.segments[at / SEGMENT_BYTES][at % SEGMENT_BYTES..];
+                    let count = into.len().min(segment.len());
+                    into[..count].copy_from_slice(&segment[..count]);
+                    count
+                }
+            };
             offset += count as u64;
             into = &mut into[count..];
         }

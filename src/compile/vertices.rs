@@ -1,25 +1,40 @@
 //! The vertices of the source, in their own precision, within the budget.
 
 use super::pages::Pages;
+use super::point::OUTSIDE;
+use super::scatter::Fault;
 use super::spill::SpillPlace;
 use crate::error::CompileError;
 use crate::geom::Lattice;
 use crate::import::VertexBatch;
 
-/// Vertices as they came.
+/// What is kept of vertices that come as f64.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Keep {
+    /// Their f32 rounding: enough for a `Float32` file, and to see whether it would be a good one.
+    Rounded,
+    /// The rounding, and themselves for the case that it is not.
+    Both,
+    /// Themselves.
+    Exact,
+}
+
+/// The vertices so far.
 #[derive(Debug)]
 pub(super) enum VertexStore {
     /// Every vertex came as f32.
     Float32(Pages<[f32; 3]>),
-    /// Some came as f64.
-    Float64 {
-        /// Rounded to f32, and how far that moved the vertex (rounded up), so that the choice of precision and a `Float32` file need only this half.
+    /// Some came as f64; rounded to f32 with the distance that this moved them (rounded up), which is infinite where f32 cannot
+    /// hold them and NaN where they are not finite.
+    Rounded {
         rounded: Pages<[f32; 4]>,
-        /// As they came. Only read if the choice falls on a lattice.
-        exact: Pages<[f64; 3]>,
         /// Largest finite move.
         move_max: f32,
+        /// As they came, for [`Keep::Both`].
+        exact: Option<Box<Pages<[f64; 3]>>>,
     },
+    /// Some came as f64; as they came.
+    Exact(Pages<[f64; 3]>),
 }
 
 impl VertexStore {
@@ -30,51 +45,63 @@ impl VertexStore {
     pub(super) fn len(&self) -> usize {
         match self {
             VertexStore::Float32(pages) => pages.len(),
-            VertexStore::Float64 { rounded, .. } => rounded.len(),
+            VertexStore::Rounded { rounded, .. } => rounded.len(),
+            VertexStore::Exact(pages) => pages.len(),
         }
     }
 
     /// No vertex is moved further by rounding to f32 (those that f32 cannot hold aside).
     pub(super) fn move_max(&self) -> f64 {
         match self {
-            VertexStore::Float32(_) => 0.0,
-            VertexStore::Float64 { move_max, .. } => f64::from(*move_max),
+            VertexStore::Rounded { move_max, .. } => f64::from(*move_max),
+            _ => 0.0,
+        }
+    }
+
+    /// What it holds of the budget.
+    pub(super) fn memory_bytes(&self) -> u64 {
+        match self {
+            VertexStore::Float32(pages) => pages.memory_bytes(),
+            VertexStore::Rounded { rounded, exact, .. } => {
+                rounded.memory_bytes() + exact.as_ref().map_or(0, |exact| exact.memory_bytes())
+            }
+            VertexStore::Exact(pages) => pages.memory_bytes(),
         }
     }
 
     pub(super) fn spill_bytes(&self) -> u64 {
         match self {
             VertexStore::Float32(pages) => pages.spill_bytes(),
-            VertexStore::Float64 { rounded, exact, .. } => rounded.spill_bytes() + exact.spill_bytes(),
+            VertexStore::Rounded { rounded, exact, .. } => {
+                rounded.spill_bytes() + exact.as_ref().map_or(0, |exact| exact.spill_bytes())
+            }
+            VertexStore::Exact(pages) => pages.spill_bytes(),
         }
     }
 
     pub(super) fn extend(
         &mut self,
         batch: VertexBatch<'_>,
+        keep: Keep,
         place: &SpillPlace,
         headroom: u64,
     ) -> Result<(), CompileError> {
         if let (VertexStore::Float32(narrow), VertexBatch::Float64(_)) = (&mut *self, batch) {
-            // The f64 half goes first to the spill when memory runs short: it leaves room for a rounded half of the same length.
-            let mut rounded = Pages::new(place.clone(), headroom);
-            let mut exact = Pages::new(place.clone(), headroom);
-            for index in 0..narrow.len() as u32 {
-                let vertex = narrow.get(index)?;
-                rounded.extend(&[vertex], |[x, y, z]| [x, y, z, 0.0])?;
-                exact.extend(&[vertex], |vertex| vertex.map(f64::from))?;
-            }
-            *self = VertexStore::Float64 { rounded, exact, move_max: 0.0 };
+            *self = widen(narrow, keep, place, headroom)?;
         }
         match (self, batch) {
             (VertexStore::Float32(pages), VertexBatch::Float32(items)) => {
                 pages.extend(items, |vertex| vertex)
             }
-            (VertexStore::Float64 { rounded, exact, .. }, VertexBatch::Float32(items)) => {
-                rounded.extend(items, |[x, y, z]| [x, y, z, 0.0])?;
-                exact.extend(items, |vertex| vertex.map(f64::from))
+            (VertexStore::Exact(pages), VertexBatch::Float32(items)) => {
+                pages.extend(items, |vertex| vertex.map(f64::from))
             }
-            (VertexStore::Float64 { rounded, exact, move_max }, VertexBatch::Float64(items)) => {
+            (VertexStore::Exact(pages), VertexBatch::Float64(items)) => pages.extend(items, |vertex| vertex),
+            (VertexStore::Rounded { rounded, exact, .. }, VertexBatch::Float32(items)) => {
+                rounded.extend(items, unmoved)?;
+                exact.as_mut().map_or(Ok(()), |exact| exact.extend(items, |vertex| vertex.map(f64::from)))
+            }
+            (VertexStore::Rounded { rounded, exact, move_max }, VertexBatch::Float64(items)) => {
                 rounded.extend(items, |vertex| {
                     let rounded = round(vertex);
                     if rounded[3] > *move_max && rounded[3].is_finite() {
@@ -82,33 +109,89 @@ impl VertexStore {
                     }
                     rounded
                 })?;
-                exact.extend(items, |vertex| vertex)
+                exact.as_mut().map_or(Ok(()), |exact| exact.extend(items, |vertex| vertex))
             }
-            (VertexStore::Float32(_), VertexBatch::Float64(_)) => {
-                unreachable!("the store was widened above")
-            }
+            (VertexStore::Float32(_), VertexBatch::Float64(_)) => unreachable!("widened above"),
         }
     }
 
-    /// The exact position of a vertex below `len`.
+    /// The position of a vertex below `len`, as exact as it was kept.
     pub(super) fn position(&mut self, vertex: u32) -> Result<[f64; 3], CompileError> {
         match self {
             VertexStore::Float32(pages) => Ok(pages.get(vertex)?.map(f64::from)),
-            VertexStore::Float64 { exact, .. } => exact.get(vertex),
+            VertexStore::Rounded { exact: Some(exact), .. } => exact.get(vertex),
+            VertexStore::Rounded { rounded, .. } => {
+                let [x, y, z, _] = rounded.get(vertex)?;
+                Ok([x, y, z].map(f64::from))
+            }
+            VertexStore::Exact(pages) => pages.get(vertex),
         }
+    }
+
+    /// What is wrong with a triangle that the file cannot hold.
+    pub(super) fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError> {
+        for vertex in triangle {
+            let is_finite = match self {
+                VertexStore::Rounded { rounded, .. } => !rounded.get(vertex)?[3].is_nan(),
+                _ => self.position(vertex)?.iter().all(|x| x.is_finite()),
+            };
+            if !is_finite {
+                return Ok(Fault::NotFinite);
+            }
+        }
+        Ok(Fault::OutOfRange)
     }
 }
 
-/// A vertex in f32, and an upper bound of the distance that rounding moved it (infinite if f32 cannot hold it).
+/// A store for f64 with the f32 vertices that came before.
+fn widen(
+    narrow: &mut Pages<[f32; 3]>,
+    keep: Keep,
+    place: &SpillPlace,
+    headroom: u64,
+) -> Result<VertexStore, CompileError> {
+    let mut exact = Pages::new(place.clone(), headroom);
+    let mut rounded = Pages::new(place.clone(), headroom);
+    for index in 0..narrow.len() as u32 {
+        let vertex = narrow.get(index)?;
+        if keep != Keep::Exact {
+            rounded.extend(&[vertex], unmoved)?;
+        }
+        if keep != Keep::Rounded {
+            exact.extend(&[vertex], |vertex| vertex.map(f64::from))?;
+        }
+    }
+    Ok(match keep {
+        Keep::Exact => VertexStore::Exact(exact),
+        Keep::Both => VertexStore::Rounded { rounded, move_max: 0.0, exact: Some(Box::new(exact)) },
+        Keep::Rounded => VertexStore::Rounded { rounded, move_max: 0.0, exact: None },
+    })
+}
+
+/// A vertex that came as f32. If it is not finite its move is not either.
+fn unmoved([x, y, z]: [f32; 3]) -> [f32; 4] {
+    [x, y, z, if (x + y + z).is_nan() || [x, y, z].iter().any(|x| !x.is_finite()) { f32::NAN } else { 0.0 }]
+}
+
+/// A vertex in f32, and how far that moved it at most.
+#[inline]
 fn round(vertex: [f64; 3]) -> [f32; 4] {
-    let [x, y, z] = vertex.map(|x| x as f32);
-    let rounded = [x, y, z];
-    let square: f64 = (0..3).map(|axis| (vertex[axis] - f64::from(rounded[axis])).powi(2)).sum();
-    // The relative error of the sum, the root and the rounding to f32 is far below 2^-22.
+    let [x, y, z] = vertex;
+    let (rx, ry, rz) = (x as f32, y as f32, z as f32);
+    let (dx, dy, dz) = (x - f64::from(rx), y - f64::from(ry), z - f64::from(rz));
+    let square = dx * dx + dy * dy + dz * dz;
+    if square == 0.0 {
+        // Also of moves so short that their squares vanish: they are below 1e-160, and 1e-38 is a bound.
+        let moved = if dx == 0.0 && dy == 0.0 && dz == 0.0 { 0.0 } else { f32::MIN_POSITIVE };
+        return [rx, ry, rz, moved];
+    }
+    if !square.is_finite() {
+        let is_finite = vertex.iter().all(|x| x.is_finite());
+        return [rx, ry, rz, if is_finite { f32::INFINITY } else { f32::NAN }];
+    }
+    // The relative error of the sum, the root and the rounding to f32 is far below 2^-22; a subnormal bound is made normal.
     let moved = (square.sqrt() * (1.0 + f64::from(f32::EPSILON))) as f32;
-    // A square that underflows belongs to a move below 1e-154, which an f32 shows as its least step.
-    let moved = if moved == 0.0 && vertex != rounded.map(f64::from) { f32::MIN_POSITIVE } else { moved };
-    [x, y, z, if moved.is_nan() { f32::INFINITY } else { moved }]
+    [rx, ry, rz, if moved > f32::MIN_POSITIVE { moved } else { f32::MIN_POSITIVE }]
 }
 
 /// Looks vertices up in the form in which the file will hold them.
@@ -118,37 +201,58 @@ pub(super) trait Lookup {
 
     /// The vertex, or a point that is not valid if the vertex is not finite or out of range.
     fn get(&mut self, vertex: u32) -> Result<Self::Point, CompileError>;
+
+    /// What is wrong with a triangle that has a point that is not valid.
+    fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError>;
 }
 
-/// f32 vertices as they are.
-pub(super) struct Narrow<'a>(pub(super) &'a mut Pages<[f32; 3]>);
+/// Vertices in f32, as they came or rounded.
+pub(super) struct Narrow<'a>(pub(super) &'a mut VertexStore);
 
 impl Lookup for Narrow<'_> {
     type Point = [f32; 3];
 
     #[inline]
     fn get(&mut self, vertex: u32) -> Result<[f32; 3], CompileError> {
-        self.0.get(vertex)
+        match &mut self.0 {
+            VertexStore::Float32(pages) => pages.get(vertex),
+            VertexStore::Rounded { rounded, .. } => {
+                let [x, y, z, _] = rounded.get(vertex)?;
+                Ok([x, y, z])
+            }
+            VertexStore::Exact(pages) => Ok(pages.get(vertex)?.map(|x| x as f32)),
+        }
+    }
+
+    fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError> {
+        self.0.fault(triangle)
     }
 }
 
-/// f64 vertices rounded to f32.
-pub(super) struct Rounded<'a>(pub(super) &'a mut Pages<[f32; 4]>);
-
-impl Lookup for Rounded<'_> {
-    type Point = [f32; 3];
-
-    #[inline]
-    fn get(&mut self, vertex: u32) -> Result<[f32; 3], CompileError> {
-        let [x, y, z, _] = self.0.get(vertex)?;
-        Ok([x, y, z])
-    }
-}
-
-/// Exact vertices put on a lattice.
+/// Vertices put on a lattice.
 pub(super) struct OnLattice<'a> {
-    pub(super) store: &'a mut VertexStore,
-    pub(super) lattice: Lattice,
+    store: &'a mut VertexStore,
+    lattice: Lattice,
+    scale: f64,
+}
+
+impl<'a> OnLattice<'a> {
+    pub(super) fn new(store: &'a mut VertexStore, lattice: Lattice) -> OnLattice<'a> {
+        OnLattice { store, lattice, scale: 1.0 / lattice.step() }
+    }
+
+    /// [`Lattice::quantize`], with `OUTSIDE` for `None`.
+    #[inline]
+    fn quantize(&self, x: f64) -> i64 {
+        // In this range sums with the constant have a unit in the last place of 1, so they round as wanted: ties to even.
+        // Scaling by a power of two is exact unless it underflows, and then the result is 0 all the same.
+        const UNIT_ULP: f64 = (3_u64 << 51) as f64;
+        let scaled = x * self.scale;
+        if scaled.abs() < (1_u64 << 51) as f64 {
+            return ((scaled + UNIT_ULP) - UNIT_ULP) as i64;
+        }
+        self.lattice.quantize(x).unwrap_or(OUTSIDE)
+    }
 }
 
 impl Lookup for OnLattice<'_> {
@@ -156,7 +260,11 @@ impl Lookup for OnLattice<'_> {
 
     #[inline]
     fn get(&mut self, vertex: u32) -> Result<[i64; 3], CompileError> {
-        let position = self.store.position(vertex)?;
-        Ok(position.map(|x| self.lattice.quantize(x).unwrap_or(super::point::OUTSIDE)))
+        let [x, y, z] = self.store.position(vertex)?;
+        Ok([self.quantize(x), self.quantize(y), self.quantize(z)])
+    }
+
+    fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError> {
+        self.store.fault(triangle)
     }
 }

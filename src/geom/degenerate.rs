@@ -8,7 +8,8 @@ use super::triangle_exact;
 #[inline]
 pub fn is_degenerate(vertices: &[[f64; 3]; 3]) -> bool {
     let [a, b, c] = vertices;
-    let (ab, ac) = ([0, 1, 2].map(|axis| b[axis] - a[axis]), [0, 1, 2].map(|axis| c[axis] - a[axis]));
+    let ab = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+    let ac = [c[0] - a[0], c[1] - a[1], c[2] - a[2]];
     for (j, k) in [(1, 2), (2, 0), (0, 1)] {
         let (p, q) = (ab[j] * ac[k], ab[k] * ac[j]);
         // Each product is two differences and a multiplication away from exact, the difference one more; the bound

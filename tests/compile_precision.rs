@@ -1,0 +1,205 @@
+//! How positions are held: the automatic choice, its bound, and lattices.
+
+#[path = "support/compiling.rs"]
+mod compiling;
+
+use compiling::{Mesh, Place, Vertices, assert_same, compile, compile_with, read_back};
+use outcrop::compile::{AUTO_TOLERANCE, CompileOptions, CompileReport, Control, PrecisionChoice};
+use outcrop::error::CompileError;
+use outcrop::geom::{Lattice, Precision};
+use outcrop::units::Bytes;
+
+const ROOMY: Bytes = Bytes::mib(256);
+const TIGHT: Bytes = Bytes::mib(18);
+
+fn options(precision: PrecisionChoice) -> CompileOptions {
+    CompileOptions { precision, ..CompileOptions::default() }
+}
+
+/// A bumpy sheet of `side`^2 quads at `origin`, in f64.
+fn sheet(side: u32, origin: [f64; 3], spacing: f64) -> Mesh {
+    let mut vertices = Vec::new();
+    for y in 0..=side {
+        for x in 0..=side {
+            let (fx, fy) = (f64::from(x), f64::from(y));
+            let z = 0.3 * libm::sin(0.7 * fx) * libm::cos(0.3 * fy);
+            vertices.push([origin[0] + spacing * fx, origin[1] + spacing * fy, origin[2] + spacing * z]);
+        }
+    }
+    let mut triangles = Vec::new();
+    for y in 0..side {
+        for x in 0..side {
+            let a = y * (side + 1) + x;
+            let (b, c, d) = (a + 1, a + side + 1, a + side + 2);
+            triangles.extend([[a, b, d], [a, d, c]]);
+        }
+    }
+    Mesh::new(Vertices::Float64(vertices), triangles)
+}
+
+fn rounded(mesh: &Mesh) -> Mesh {
+    let Vertices::Float64(vertices) = &mesh.vertices else { panic!("in f64") };
+    let vertices = vertices.iter().map(|vertex| vertex.map(|x| x as f32)).collect();
+    Mesh { vertices: Vertices::Float32(vertices), ..mesh.clone() }
+}
+
+/// That every vertex is the nearest point of the lattice, equal vertices in all blocks included (I4).
+fn assert_on_lattice(mesh: &Mesh, report: &CompileReport, bytes: &[u8]) -> Lattice {
+    let Precision::Lattice(lattice) = report.precision else { panic!("{:?}", report.precision) };
+    let (model, stored) = read_back(bytes);
+    assert_eq!(model.precision, report.precision);
+    assert_eq!(report.error_bound, 0.5 * lattice.step());
+    assert_eq!(stored.len(), mesh.triangles.len());
+    for (index, stored) in stored.iter().enumerate() {
+        let stored = stored.as_ref().expect("every triangle is there");
+        let expected = mesh.corners(index).map(|corner| {
+            corner.map(|x| {
+                let nearest = lattice.position(lattice.quantize(x).unwrap());
+                assert!((x - nearest).abs() <= report.error_bound);
+                nearest
+            })
+        });
+        assert_eq!(stored.corners, expected);
+    }
+    lattice
+}
+
+#[test]
+fn f32_input_stays_as_it_is() {
+    let mesh = rounded(&sheet(20, [1e7, -1e7, 3e5], 0.01));
+    let (report, bytes) = compile(&mesh, &CompileOptions::default(), ROOMY);
+    assert_eq!((report.precision, report.error_bound), (Precision::Float32, 0.0));
+    assert_same(&mesh, &bytes);
+}
+
+#[test]
+fn text_of_f32_becomes_f32_again() {
+    // Nine digits give back every f32, but not exactly in f64.
+    let exact = rounded(&sheet(100, [1.0, 2.0, 3.0], 0.01));
+    let Vertices::Float32(vertices) = &exact.vertices else { unreachable!() };
+    let text = |x: f32| format!("{x:.9e}").parse::<f64>().unwrap();
+    let mut mesh = exact.clone();
+    mesh.vertices = Vertices::Float64(vertices.iter().map(|vertex| vertex.map(text)).collect());
+    for complete_first in [true, false] {
+        mesh.complete_first = complete_first;
+        for budget in [ROOMY, TIGHT] {
+            let (report, bytes) = compile(&mesh, &CompileOptions::default(), budget);
+            assert_eq!(report.precision, Precision::Float32);
+            assert!(report.error_bound > 0.0 && report.error_bound < 1e-8, "{}", report.error_bound);
+            assert_same(&exact, &bytes);
+        }
+    }
+}
+
+#[test]
+fn the_automatic_lattice_is_the_coarsest_that_keeps_the_promise() {
+    for (origin, spacing) in [([0.3, 0.1, 0.2], 1e-2), ([1e7, 2e7, -1e7], 0.5), ([4e15, 0.0, 0.0], 1e3)] {
+        let mesh = sheet(60, origin, spacing);
+        let far = origin[0] > 1.0;
+        let (report, bytes) = compile(&mesh, &CompileOptions::default(), ROOMY);
+        if !far {
+            // Nearby, f32 keeps the promise.
+            assert_eq!(report.precision, Precision::Float32);
+            continue;
+        }
+        let lattice = assert_on_lattice(&mesh, &report, &bytes);
+        let mut shortest = f64::INFINITY;
+        for index in 0..mesh.triangles.len() {
+            let [a, b, c] = mesh.corners(index);
+            for (p, q) in [(a, b), (b, c), (c, a)] {
+                let length = (0..3).map(|axis| (p[axis] - q[axis]).powi(2)).sum::<f64>().sqrt();
+                shortest = shortest.min(length);
+            }
+        }
+        let moved = |step: f64| 0.5 * 3_f64.sqrt() * step;
+        if report.tolerance_met {
+            assert!(moved(lattice.step()) <= AUTO_TOLERANCE * shortest);
+            assert!(moved(2.0 * lattice.step()) > AUTO_TOLERANCE * shortest, "a coarser one would do");
+        } else {
+            assert_eq!(origin[0], 4e15);
+            // The next finer one would not reach the coordinates.
+            assert!(4.1e15 / (0.5 * lattice.step()) > Lattice::COORDINATE_MAX as f64);
+        }
+        assert_eq!(report.tolerance_met, origin[0] < 4e15);
+        // The same from a budget that keeps little in memory.
+        assert!(compile(&mesh, &CompileOptions::default(), TIGHT).1 == bytes);
+    }
+}
+
+#[test]
+fn an_edge_that_f32_would_collapse_is_noticed() {
+    let x = 1.0 + 1e-12;
+    let vertices = vec![[1.0, 0.0, 0.0], [x, 0.0, 0.0], [1.0, 1e-3, 0.0], [1.0, 0.0, 0.0]];
+    let mut mesh = Mesh::new(Vertices::Float64(vertices), vec![[0, 1, 2]]);
+    assert!(matches!(
+        compile(&mesh, &CompileOptions::default(), ROOMY).0.precision,
+        Precision::Lattice(lattice) if lattice.step() < 1e-12
+    ));
+    // An edge that is zero in the source binds nothing.
+    mesh.triangles = vec![[0, 3, 2]];
+    assert_eq!(compile(&mesh, &CompileOptions::default(), ROOMY).0.precision, Precision::Float32);
+}
+
+#[test]
+fn a_chosen_lattice_is_used_for_any_input() {
+    let exact = sheet(120, [100.0, 200.0, -50.0], 0.25);
+    for mesh in [rounded(&exact), exact] {
+        for exponent in [-4, -12, -40] {
+            let options = options(PrecisionChoice::Lattice { exponent });
+            let (report, bytes) = compile(&mesh, &options, ROOMY);
+            assert_eq!(assert_on_lattice(&mesh, &report, &bytes).exponent, exponent);
+            assert!(compile(&mesh, &options, TIGHT).1 == bytes);
+        }
+    }
+}
+
+#[test]
+fn wide_lattice_blocks_keep_the_size_limit() {
+    // Offsets of more than 2^24 steps take 24 bytes a vertex; `read_back` checks the limits of every block.
+    let mesh = sheet(150, [0.0; 3], 1.0);
+    for block_bytes in [4 << 10, 64 << 10] {
+        let precision = PrecisionChoice::Lattice { exponent: -30 };
+        let options = CompileOptions { block_bytes, precision, ..CompileOptions::default() };
+        let (report, bytes) = compile(&mesh, &options, ROOMY);
+        assert_on_lattice(&mesh, &report, &bytes);
+    }
+}
+
+#[test]
+fn coordinates_that_do_not_fit_are_errors() {
+    let far =
+        Mesh::new(Vertices::Float64(vec![[1e300, 0.0, 0.0], [0.0; 3], [0.0, 1.0, 0.0]]), vec![[0, 1, 2]]);
+    let place = Place::new();
+    let run = |mesh: &Mesh, precision, skip_not_finite| {
+        let options = CompileOptions { precision, skip_not_finite, ..CompileOptions::default() };
+        compile_with(mesh, &options, ROOMY, &place.output(), &mut |_| Control::Continue)
+    };
+    for precision in
+        [PrecisionChoice::Float32, PrecisionChoice::Lattice { exponent: 0 }, PrecisionChoice::Auto]
+    {
+        let result = run(&far, precision, true);
+        assert!(matches!(result, Err(CompileError::Limit { .. })), "{precision:?}: {result:?}");
+    }
+    for (bad, not_finite) in [(f64::NAN, true), (f64::INFINITY, true), (1e300, false)] {
+        let mut mesh = sheet(3, [0.0; 3], 1.0);
+        let Vertices::Float64(vertices) = &mut mesh.vertices else { unreachable!() };
+        vertices[5][1] = bad;
+        let users = mesh.triangles.iter().filter(|triangle| triangle.contains(&5)).count() as u64;
+        let first = mesh.triangles.iter().position(|triangle| triangle.contains(&5)).unwrap() as u64;
+        for precision in [PrecisionChoice::Float32, PrecisionChoice::Lattice { exponent: -20 }] {
+            let error = run(&mesh, precision, false).unwrap_err();
+            match error {
+                CompileError::NotFinite { triangle } => assert!(not_finite && triangle == first),
+                CompileError::Limit { .. } => assert!(!not_finite),
+                other => panic!("{other}"),
+            }
+        }
+        if not_finite {
+            for precision in [PrecisionChoice::Auto, PrecisionChoice::Float32] {
+                let report = run(&mesh, precision, true).unwrap();
+                assert_eq!((report.skipped, report.triangles), (users, mesh.triangles.len() as u64 - users));
+            }
+        }
+    }
+    assert_eq!(place.files(), ["model.outcrop"]);
+}
