@@ -56,15 +56,15 @@ pub fn write(picture: &[f32], size: usize, path: &Path) -> Result<(), String> {
     writer.finish().map_err(|error| text(&error))
 }
 
-/// Reads what [`write`] wrote.
+/// Reads what [`write`] or outcrop's renderer wrote; of colours, the red.
 pub fn read(path: &Path) -> Result<Vec<u8>, String> {
     let text = |error: &dyn std::fmt::Display| format!("cannot read {}: {error}", path.display());
     let file = std::fs::File::open(path).map_err(|error| text(&error))?;
     let mut reader =
         png::Decoder::new(std::io::BufReader::new(file)).read_info().map_err(|error| text(&error))?;
     let mut pixels = vec![0; reader.output_buffer_size().ok_or_else(|| text(&"too large"))?];
-    reader.next_frame(&mut pixels).map_err(|error| text(&error))?;
-    Ok(pixels)
+    let info = reader.next_frame(&mut pixels).map_err(|error| text(&error))?;
+    Ok(pixels.into_iter().step_by(info.color_type.samples()).collect())
 }
 
 fn srgb(linear: f32) -> u8 {

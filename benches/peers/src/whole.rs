@@ -4,8 +4,15 @@ use std::fs::File;
 use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
 
-use outcrop::octree::Tier;
+use outcrop::MemoryBudget;
+use outcrop::compile::{Control, Threads};
+use outcrop::error::Error;
+use outcrop::octree::{LazyOctree, OctreeOptions, Tier};
+use outcrop::render::{RenderSettings, Renderer};
+use outcrop::scene::{Camera, Light, Scene};
+use outcrop::source::{BlockSource, DiskSource};
 use outcrop::units::Bytes;
 
 use crate::clock::median;
@@ -14,6 +21,7 @@ use crate::engine::Engine;
 use crate::mesh::Mesh;
 use crate::outcrop_engine::{Outcrop, compile, open};
 use crate::picture;
+use crate::rays::{EYE, LIGHTS, VERTICAL_FIELD_DEGREES};
 
 /// Edge length of the picture.
 const SIZE: usize = 512;
@@ -21,11 +29,13 @@ const SIZE: usize = 512;
 const MEMORY: Bytes = Bytes::mib(160);
 
 /// The jobs, by the names under which the program calls itself; the first is what the others are compared with.
-const JOBS: [(&str, &str); 4] = [
+const JOBS: [(&str, &str); 6] = [
     ("embree-compact-low", "Embree compact, low"),
     ("embree-default", "Embree default"),
-    ("outcrop", "outcrop: compile and render, certified"),
-    ("outcrop-compiled", "outcrop: render the compiled file, certified"),
+    ("outcrop", "outcrop: compile, trace, same shading"),
+    ("outcrop-compiled", "outcrop: the compiled file, same shading"),
+    ("outcrop-render", "outcrop: compile and `Renderer`"),
+    ("outcrop-render-compiled", "outcrop: the compiled file, `Renderer`"),
 ];
 
 /// One job, in this process: the work that a user would wait for.
@@ -38,6 +48,12 @@ pub fn job(name: &str, model: &Path, output: &Path, compiled: &Path) -> Result<(
             let mode = if name == "embree-default" { Mode::DEFAULT } else { Mode::COMPACT_LOW };
             draw(&mut Embree::new(&mesh, mode)?)?;
         }
+        "outcrop-render" | "outcrop-render-compiled" => {
+            if name == "outcrop-render" {
+                compile(model, compiled, MEMORY)?;
+            }
+            render(compiled, output).map_err(|error| error.to_string())?;
+        }
         "outcrop" | "outcrop-compiled" => {
             if name == "outcrop" {
                 compile(model, compiled, MEMORY)?;
@@ -48,6 +64,24 @@ pub fn job(name: &str, model: &Path, output: &Path, compiled: &Path) -> Result<(
     }
     println!("{}", peak_kib().unwrap_or(0));
     Ok(())
+}
+
+/// The same picture by the library's own renderer.
+fn render(compiled: &Path, output: &Path) -> Result<(), Error> {
+    let camera = Camera::pinhole(EYE, [0.0; 3], [0.0, 0.0, 1.0], VERTICAL_FIELD_DEGREES)?;
+    let lights = LIGHTS.map(|position| Light::point(position, [1.0 / LIGHTS.len() as f32; 3]));
+    let scene = Scene::new(camera).with_lights(lights);
+    let settings = RenderSettings::new(SIZE as u32, SIZE as u32);
+    let budget = MemoryBudget::new(MEMORY);
+    let source: Arc<dyn BlockSource> = Arc::new(DiskSource::open(compiled)?);
+    let needed = Renderer::bytes_needed(&scene, source.model(), &settings, &Threads::One)?;
+    // The octree takes what is left for its cache.
+    let aside = budget.reserve(needed, "the renderer")?;
+    let octree = LazyOctree::open(source, &budget, OctreeOptions::default())?;
+    drop(aside);
+    let renderer = Renderer::new(&octree, &scene, &settings, &budget)?;
+    let image = renderer.render(&Threads::One, &mut |_| Control::Continue)?;
+    Ok(image.into_complete()?.write(output)?)
 }
 
 /// Largest resident memory of this process so far.
