@@ -4,6 +4,9 @@
 //!     cargo run --release -- whole MODEL.ply [--repetitions 3]
 //!     cargo run --release -- leaks [--rays 100000]
 
+// Without Embree nothing is traced; the rest still has to compile.
+#![cfg_attr(not(embree), allow(unused))]
+
 mod clock;
 #[cfg(embree)]
 mod embree;
