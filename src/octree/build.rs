@@ -59,7 +59,7 @@ impl Run {
 
     fn area(&self) -> f32 {
         let b = &self.bounds;
-        let [x, y, z] = [0, 1, 2].map(|axis| -b[axis + 4] - b[axis]);
+        let [x, y, z] = [-b[4] - b[0], -b[5] - b[1], -b[6] - b[2]];
         x * y + y * z + z * x
     }
 }
@@ -232,7 +232,7 @@ impl<S: Simd> Tree<'_, S> {
     fn split_by_planes(&mut self, run: &Run, planes_max: u32, parts: &mut [Run; LANES]) -> usize {
         let simd = self.simd;
         let c = &run.centers;
-        let extents = [0, 1, 2].map(|axis| -c[axis + 4] - c[axis]);
+        let extents = [-c[4] - c[0], -c[5] - c[1], -c[6] - c[2]];
         let longest = extents[0].max(extents[1]).max(extents[2]);
         // Overflow or no extent at all.
         if !(longest > 0.0 && longest < f32::INFINITY) {
@@ -240,16 +240,20 @@ impl<S: Simd> Tree<'_, S> {
         }
         let mut mask = 0u32;
         let mut axes = [0usize, 1, 2];
-        axes.sort_unstable_by(|a, b| extents[*b].total_cmp(&extents[*a]));
+        for (i, j) in [(0, 1), (1, 2), (0, 1)] {
+            if extents[axes[j]] > extents[axes[i]] {
+                axes.swap(i, j);
+            }
+        }
         for axis in &axes[..planes_max as usize] {
             if extents[*axis] >= GATE * longest {
                 mask |= 1 << axis;
             }
         }
-        let middle: [f32; LANES] = std::array::from_fn(|lane| {
-            let axis = lane % 4;
-            if axis < 3 { 0.5 * c[axis] - 0.5 * c[axis + 4] } else { f32::INFINITY }
-        });
+        let mut middle = [f32::INFINITY; LANES];
+        for axis in 0..3 {
+            middle[axis] = 0.5 * c[axis] - 0.5 * c[axis + 4];
+        }
         let middle = simd.load(&middle);
 
         let (start, end) = (run.start as usize, run.end as usize);

@@ -66,21 +66,20 @@ impl Operation for Build<'_> {
         }
         let count = data.triangles.len();
         let (primitives, vertices) = scratch.primitives(count);
-        let mut largest = 0.0f32;
         if wide {
             // A rounded vertex is off by at most half a step of the largest coordinate (2^-24), and where the
             // difference from the base rounds in f64 too, hardly more.
-            largest = vertices[..data.vertices.len()]
+            let largest = vertices[..data.vertices.len()]
                 .iter()
                 .flatten()
                 .fold(0.0, |largest: f32, x| largest.max(x.abs()));
             header.vertex_error = largest * (1.0 / (1u32 << 23) as f32) + f32::MIN_POSITIVE;
         }
-        let _ = largest;
         let pad = simd.splat(header.vertex_error);
         for (place, triangle) in primitives.iter_mut().zip(&data.triangles) {
-            let [a, b, c] = triangle.map(|i| simd.load(&vertices[usize::from(i)]));
-            let bounds = simd.min(a, simd.min(b, c));
+            let [a, b, c] = *triangle;
+            let bounds = simd.min(simd.load(&vertices[usize::from(b)]), simd.load(&vertices[usize::from(c)]));
+            let bounds = simd.min(simd.load(&vertices[usize::from(a)]), bounds);
             *place = simd.to_array(if wide { simd.sub(bounds, pad) } else { bounds });
         }
 
@@ -168,7 +167,10 @@ impl<S: Simd> LeafSink<S> for TriangleSink<'_> {
         for (i, triangle) in order.iter().enumerate() {
             let triangle = *triangle as usize;
             let corners = self.data.triangles[triangle];
-            let [a, b, c] = corners.map(|corner| &self.local[usize::from(corner)]);
+            let [a, b, c] = corners;
+            let a = &self.local[usize::from(a)];
+            let b = &self.local[usize::from(b)];
+            let c = &self.local[usize::from(c)];
             // Lanes 0 to 2 hold the vertex and 4 to 6 its negative: the difference is the edge, exactly negated too.
             let (ab, ac) = (simd.sub(simd.load(b), simd.load(a)), simd.sub(simd.load(c), simd.load(a)));
             longest = simd.max(simd.max(ab, ac), longest);

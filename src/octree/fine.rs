@@ -182,17 +182,22 @@ impl<'a> Fine<'a> {
         if header.expanded == 1 && header.wide == 0 {
             let first = 9 * at.start + at.lane;
             let row = |r: usize| self.rows[first + r * at.count];
-            return [0, 3, 6].map(|r| self.to_model([row(r), row(r + 1), row(r + 2)]));
+            return [
+                self.to_model([row(0), row(1), row(2)]),
+                self.to_model([row(3), row(4), row(5)]),
+                self.to_model([row(6), row(7), row(8)]),
+            ];
         }
-        let indices = self.indices()[at.start + at.lane].map(usize::from);
+        let [a, b, c] = self.indices()[at.start + at.lane];
+        let [a, b, c] = [usize::from(a), usize::from(b), usize::from(c)];
         if header.wide == 1 {
             let parts = &header.parts;
             let bytes = &self.slot[parts.wide as usize..][..24 * header.vertex_count as usize];
             let vertices: &[[f64; 3]] = bytemuck::cast_slice(bytes);
-            return indices.map(|i| vertices[i]);
+            return [vertices[a], vertices[b], vertices[c]];
         }
         let vertices = self.vertices();
-        indices.map(|i| self.to_model(vertices[i]))
+        [self.to_model(vertices[a]), self.to_model(vertices[b]), self.to_model(vertices[c])]
     }
 
     /// Exact wherever the slot has no separate exact vertices: the builder checked.
@@ -200,7 +205,12 @@ impl<'a> Fine<'a> {
     fn to_model(&self, local: [f32; 3]) -> [f64; 3] {
         // The scale is a power of two whose inverse is one too, so the product with it is exact.
         let inverse = if self.header.scale == 1.0 { 1.0 } else { 1.0 / self.header.scale };
-        [0, 1, 2].map(|axis| self.header.base[axis] + f64::from(local[axis]) * inverse)
+        let base = &self.header.base;
+        [
+            base[0] + f64::from(local[0]) * inverse,
+            base[1] + f64::from(local[1]) * inverse,
+            base[2] + f64::from(local[2]) * inverse,
+        ]
     }
 
     #[inline(always)]

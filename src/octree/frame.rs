@@ -5,7 +5,7 @@
 //! products would leave their range. Where anything is rounded, it is rounded outward.
 
 use crate::geom::{Aabb, Ray, RayFrame, round_down_f32, round_up_f32};
-use crate::simd::{BoxRay, ErrorBounds, Interval, InverseDirection, Simd, TriangleRay};
+use crate::simd::{BoxRay, ErrorBounds, Interval, LANES, ParallelAxes, Simd, TriangleRay};
 
 /// The f32 space of one tree.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,18 +60,42 @@ impl Frame {
     }
 }
 
-/// A ray on its way through both levels.
+/// Where the rays of an octree travel: what preparing one needs to know about the model.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Space {
+    bounds: Aabb,
+    /// The coarse tree's frame, in which rays start.
+    frame: Frame,
+    /// The model's box in that frame with sixteen times its size around it, in lanes 0 to 2: rays from within are traced
+    /// from where they start.
+    near_low: [f32; LANES],
+    near_high: [f32; LANES],
+}
+
+impl Space {
+    pub fn new(bounds: Aabb, frame: Frame) -> Space {
+        let margin = 16.0 * bounds.extent().iter().fold(0.0f64, |largest, x| largest.max(*x));
+        let mut near = ([f32::MIN; LANES], [f32::MAX; LANES]);
+        for axis in 0..3 {
+            near.0[axis] = ((bounds.min[axis] - margin - frame.base[axis]) * frame.scale) as f32;
+            near.1[axis] = ((bounds.max[axis] + margin - frame.base[axis]) * frame.scale) as f32;
+        }
+        if frame.scale > power_of_two(60) {
+            // The exact ray's rounding of its origin could show: prepare every ray with care.
+            near = ([f32::NAN; LANES], [f32::NAN; LANES]);
+        }
+        Space { bounds, frame, near_low: near.0, near_high: near.1 }
+    }
+}
+
+/// A ray made ready for the traversal of both levels: what does not change from frame to frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct QueryRay {
-    /// For the decisions in f64.
-    pub exact: RayFrame,
-    /// Start of the traversal in the model's space, `exact.origin()` moved along the ray to near the model, and how far
-    /// off it can be per axis. Both are exact (and the error 0) unless the ray starts far from the model.
+    /// Start of the traversal in the model's space: the ray's origin, or a point on the ray nearer to the model.
     origin: [f64; 3],
-    origin_error: [f64; 3],
-    /// The direction with its largest component in `1 .. 2`.
-    direction: [f64; 3],
-    pub inverse: InverseDirection,
+    /// How far off that is, per axis.
+    origin_error: f64,
+    /// Sum of the magnitudes of the local direction.
     direction_sum: f32,
     /// `t` to local units: first one factor, then the other (their product can leave the range of f64).
     t_factors: [f64; 2],
@@ -79,71 +103,167 @@ pub(crate) struct QueryRay {
     t_start: f64,
 }
 
-impl QueryRay {
-    /// Prepares a valid ray for trees with `scale` inside `bounds`.
-    #[inline(always)]
-    pub fn new(ray: &Ray, scale: f64, bounds: &Aabb) -> QueryRay {
-        let exact = RayFrame::new(ray);
-        let mut direction = exact.direction();
-        let mut to_scaled = 1.0 / exact.scale();
-        let longest = direction.iter().fold(0.0f64, |longest, x| longest.max(x.abs()));
-        if !(1.0..2.0).contains(&longest) && longest > 0.0 {
-            // Only for the shortest and longest directions that f64 can hold.
-            let exponent = ((longest.to_bits() >> 52) & 0x7ff) as i32 - 1023;
-            let factor = f64::from_bits(((1023 - exponent) as u64) << 52);
-            direction = direction.map(|x| x * factor);
-            to_scaled /= factor;
-        }
-        let mut query = QueryRay {
-            origin: exact.origin(),
-            exact,
-            origin_error: [0.0; 3],
-            direction,
-            inverse: InverseDirection::new(direction),
-            direction_sum: (1.0 + 1e-6) * direction.iter().map(|x| x.abs()).sum::<f64>() as f32,
-            t_factors: [to_scaled, scale],
-            t_start: 0.0,
-        };
-        query.approach(bounds, scale);
-        query
-    }
+/// The largest magnitude.
+fn longest(direction: [f64; 3]) -> f64 {
+    direction[0].abs().max(direction[1].abs()).max(direction[2].abs())
+}
 
-    /// Moves the start of a ray that comes from far away to the model, so that f32 can tell the model's parts apart.
-    #[inline(always)]
-    fn approach(&mut self, bounds: &Aabb, scale: f64) {
-        let far = (0..3).any(|axis| {
-            let size = bounds.max[axis] - bounds.min[axis];
-            let distance = (bounds.min[axis] - self.origin[axis]).max(self.origin[axis] - bounds.max[axis]);
-            distance > 16.0 * size && distance > 0.0
-        });
-        if far {
-            self.approach_from_far(bounds, scale);
-        }
-    }
+#[inline(always)]
+const fn power_of_two(exponent: i64) -> f64 {
+    f64::from_bits(((1023 + exponent) as u64) << 52)
+}
 
+/// Checks a ray and prepares it, in the frame of the coarse tree, into `query` and `local`. Returns why the ray is not
+/// valid, if it is not. (The results are arguments because returned ones would be copied through memory.)
+#[inline(always)]
+pub(crate) fn prepare<S: Simd>(
+    simd: S,
+    ray: &Ray,
+    space: &Space,
+    query: &mut QueryRay,
+    local: &mut LocalRay<S>,
+) -> Option<&'static str> {
+    // The common case in f32, all axes at once: from near the model, in a direction that is neither along an axis nor of
+    // extraordinary length. Every comparison fails for NaN.
+    let [x, y, z] = ray.direction;
+    let [x, y, z] = [x as f32, y as f32, z as f32];
+    let (ax, ay, az) = (x.abs(), y.abs(), z.abs());
+    let longest = if ax > ay { ax } else { ay };
+    let longest = if longest > az { longest } else { az };
+    let exponent = (longest.to_bits() >> 23) as i32 - 127;
+    // Garbage, but not used, for a direction that is not plain.
+    let factor = f32::from_bits(((127 - exponent) as u32) << 23);
+    let mut direction = [x * factor, y * factor, z * factor];
+    let mut lanes = simd.load(&[direction[0], direction[1], direction[2], 1.0, 1.0, 1.0, 1.0, 1.0]);
+    let (mut origin, mut origin_lanes) = local_origin(simd, ray.origin, &space.frame);
+    let near = simd.and(
+        simd.le(simd.load(&space.near_low), origin_lanes),
+        simd.le(origin_lanes, simd.load(&space.near_high)),
+    );
+    let plain = (exponent.abs() <= 60)
+        & (simd.bits(near) & 7 == 7)
+        & BoxRay::is_oblique(simd, lanes)
+        & (ray.t_min >= 0.0)
+        & (ray.t_min <= ray.t_max)
+        & (ray.t_min < f64::INFINITY);
+    query.origin = ray.origin;
+    query.origin_error = 0.0;
+    query.direction_sum = (1.0 + 1e-6) * factor * (ax + ay + az);
+    query.t_factors = [power_of_two(i64::from(exponent)), space.frame.scale];
+    query.t_start = 0.0;
+    let mut parallel = ParallelAxes::NONE;
+    let mut error = origin_error(origin);
+    let mut invalid = None;
+    if !plain {
+        let careful = Careful::new(ray, space);
+        (*query, direction, parallel, invalid) =
+            (careful.query, careful.direction, careful.parallel, careful.invalid);
+        lanes = simd.load(&[direction[0], direction[1], direction[2], 1.0, 1.0, 1.0, 1.0, 1.0]);
+        (origin, origin_lanes) = local_origin(simd, query.origin, &space.frame);
+        error = query.origin_error_in(&space.frame, origin);
+    }
+    local.boxes.set_direction(simd, lanes, &parallel);
+    local.boxes.set_origin(simd, origin_lanes);
+    local.triangles.origin = simd.splat3(origin);
+    local.triangles.direction = simd.splat3(direction);
+    local.base = space.frame.base;
+    local.origin = origin;
+    local.origin_error = error;
+    local.forget_origin_if_lost(simd);
+    invalid
+}
+
+/// What a ray takes that is not plain.
+struct Careful {
+    query: QueryRay,
+    direction: [f32; 3],
+    parallel: ParallelAxes,
+    invalid: Option<&'static str>,
+}
+
+/// An origin in a frame, rounded: two roundings in f64 and one in f32. Also in lanes 0 to 2.
+#[inline(always)]
+fn local_origin<S: Simd>(simd: S, origin: [f64; 3], frame: &Frame) -> ([f32; 3], S::F) {
+    let x = ((origin[0] - frame.base[0]) * frame.scale) as f32;
+    let y = ((origin[1] - frame.base[1]) * frame.scale) as f32;
+    let z = ((origin[2] - frame.base[2]) * frame.scale) as f32;
+    ([x, y, z], simd.load(&[x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0]))
+}
+
+impl Careful {
+    /// For any ray: along an axis, of any length, from any distance.
     #[cold]
     #[inline(never)]
-    fn approach_from_far(&mut self, bounds: &Aabb, scale: f64) {
+    fn new(ray: &Ray, space: &Space) -> Careful {
+        let invalid = ray.validate().err();
+        // The exact ray rounds what is out of range for it; boxes must be met by the ray that triangles are.
+        let exact = RayFrame::new(ray);
+        let exponent = (longest(exact.direction()).to_bits() >> 52) as i64 - 1023;
+        // 0 for all but the shortest and longest directions that f64 can hold. A zero direction is one that the exact
+        // ray refuses: it hits nothing.
+        let factor = power_of_two(-exponent.clamp(-100, 100));
+        let direction = exact.direction().map(|x| x * factor);
+        let mut query = QueryRay {
+            origin: exact.origin(),
+            origin_error: 0.0,
+            direction_sum: (1.0 + 1e-6) * direction.iter().map(|x| x.abs() as f32).sum::<f32>(),
+            t_factors: [1.0 / exact.scale() / factor, space.frame.scale],
+            t_start: 0.0,
+        };
+        let near = (0..3).all(|axis| {
+            let x = ((query.origin[axis] - space.frame.base[axis]) * space.frame.scale) as f32;
+            space.near_low[axis] <= x && x <= space.near_high[axis]
+        });
+        if !near {
+            query.approach(direction, space);
+        }
+        let error = (query.origin_error + COORDINATE_ROUNDING) * space.frame.scale;
+        let parallel = ParallelAxes::new(direction, error as f32 * (1.0 + 1e-6));
+        Careful { query, direction: direction.map(|x| x as f32), parallel, invalid }
+    }
+}
+
+impl QueryRay {
+    /// No ray yet.
+    pub const UNSET: QueryRay = QueryRay {
+        origin: [0.0; 3],
+        origin_error: 0.0,
+        direction_sum: 0.0,
+        t_factors: [1.0; 2],
+        t_start: 0.0,
+    };
+
+    /// More than the error of the ray's origin in a frame, where it is rounded to `local`.
+    #[inline(always)]
+    fn origin_error_in(&self, frame: &Frame, local: [f32; 3]) -> f32 {
+        let moved = (self.origin_error + COORDINATE_ROUNDING) * frame.scale;
+        origin_error(local) + moved as f32 * (1.0 + 1e-6)
+    }
+
+    /// Moves the start of a ray that comes from far away to near the model, so that f32 can tell the model's parts
+    /// apart. (`t_factors` is exact also where its first factor is subnormal: it is a power of two.)
+    fn approach(&mut self, direction: [f64; 3], space: &Space) {
         // Any parameter will do; the entry into a box of twice the model's size is a good one.
+        let bounds = &space.bounds;
         let margin = 0.5 * bounds.extent().iter().fold(0.0f64, |largest, x| largest.max(*x));
         let mut entry = 0.0f64;
         for axis in 0..3 {
-            let d = self.direction[axis];
+            let d = direction[axis];
             let plane = if d > 0.0 { bounds.min[axis] - margin } else { bounds.max[axis] + margin };
             let t = (plane - self.origin[axis]) / d;
             if t.is_finite() && t > entry {
                 entry = t;
             }
         }
-        let moved = [0, 1, 2].map(|axis| self.origin[axis] + entry * self.direction[axis]);
+        let moved = [0, 1, 2].map(|axis| self.origin[axis] + entry * direction[axis]);
         // Product and sum round once each; doubled for the rounding of the bound itself.
-        let error = [0, 1, 2].map(|axis| {
-            f64::EPSILON * ((entry * self.direction[axis]).abs() + moved[axis].abs()) + f64::MIN_POSITIVE
+        let error = (0..3).fold(f64::MIN_POSITIVE, |error, axis| {
+            error.max(f64::EPSILON * ((entry * direction[axis]).abs() + moved[axis].abs()))
         });
-        if entry > 0.0 && moved.iter().chain(&error).all(|x| x.is_finite()) {
+        if entry > 0.0 && moved.iter().chain([&error]).all(|x| x.is_finite()) {
             self.origin = moved;
             self.origin_error = error;
-            self.t_start = entry * scale;
+            self.t_start = entry * space.frame.scale;
         }
     }
 
@@ -158,25 +278,31 @@ impl QueryRay {
         (f64::from(local) + self.t_start) / self.t_factors[1] / self.t_factors[0]
     }
 
-    /// At least the local parameter of `t`, by a factor of `1 + 2^-20` or more, and at least 0.
+    /// At least the local parameter of `t`, by a factor of `1 + 2^-20` or more, and greater than 0.
     #[inline(always)]
     pub fn local_high(&self, t: f64) -> f32 {
-        let local = self.to_local(t) + (self.t_start.abs() * MARGIN_F64);
-        // Hits beyond the range of f64 all have t = f64::MAX. The comparison keeps NaN (infinity minus infinity) out.
-        if t < f64::MAX && local < f64::INFINITY {
-            round_up_f32(local.max(0.0) * (1.0 + MARGIN)).max(f32::MIN_POSITIVE)
-        } else {
+        let local = self.to_local(t) + self.t_start * MARGIN_F64;
+        let high = local as f32 * (1.0 + MARGIN) + f32::MIN_POSITIVE;
+        // Hits beyond the range of f64 all have t = f64::MAX; NaN is infinity minus infinity.
+        if t >= f64::MAX || high.is_nan() {
             f32::INFINITY
+        } else if high > 0.0 {
+            high
+        } else {
+            f32::MIN_POSITIVE
         }
     }
 
     /// At most the local parameter of `t`, by a factor of `1 - 2^-20` or more; `-inf` instead of a negative number.
     #[inline(always)]
     pub fn local_low(&self, t: f64) -> f32 {
-        let local = self.to_local(t) - (self.t_start.abs() * MARGIN_F64);
-        if local >= 0.0 {
-            let low = (local * (1.0 - MARGIN)).min(f64::from(f32::MAX));
-            round_down_f32(low)
+        let local = self.to_local(t) - self.t_start * MARGIN_F64;
+        let low = local as f32 * (1.0 - MARGIN) - f32::MIN_POSITIVE;
+        // NaN is infinity minus infinity. What overflows is clamped to a number that no infinity is below.
+        if low >= 0.0 {
+            low.min(f32::MAX)
+        } else if local == 0.0 {
+            0.0
         } else {
             f32::NEG_INFINITY
         }
@@ -185,15 +311,14 @@ impl QueryRay {
     /// An interval that certainly lies inside `t_min ..= t_max`.
     #[inline(always)]
     pub fn local_inner(&self, t_min: f64, t_max: f64) -> (f32, f32) {
-        let high = self.to_local(t_max) - (self.t_start.abs() * MARGIN_F64);
-        let high =
-            if high > 0.0 { round_down_f32((high * (1.0 - MARGIN)).min(f64::from(f32::MAX))) } else { -1.0 };
-        (self.local_high(t_min), high)
+        let local = self.to_local(t_max) - self.t_start * MARGIN_F64;
+        let high = local as f32 * (1.0 - MARGIN) - f32::MIN_POSITIVE;
+        (self.local_high(t_min), if high > 0.0 { high.min(f32::MAX) } else { -1.0 })
     }
 }
 
-/// More than any rounding of a parameter in f32 arithmetic: 2^-19.
-const MARGIN: f64 = 1.0 / (1u32 << 19) as f64;
+/// More than any rounding of a parameter in f32 arithmetic, with room for that of the product with it: 2^-18.
+const MARGIN: f32 = 1.0 / (1u32 << 18) as f32;
 /// More than the rounding of a difference of parameters in f64.
 const MARGIN_F64: f64 = 4.0 * f64::EPSILON;
 
@@ -209,20 +334,20 @@ pub(crate) struct LocalRay<S: Simd> {
 }
 
 impl<S: Simd> LocalRay<S> {
+    /// No ray yet.
     #[inline(always)]
-    pub fn new(simd: S, query: &QueryRay, frame: &Frame) -> LocalRay<S> {
-        let (low, high, origin, origin_error) = local_origin(query, frame);
-        let direction = query.direction.map(|x| simd.splat(x as f32));
+    pub fn unset(simd: S) -> LocalRay<S> {
+        let zero = simd.splat(0.0);
         LocalRay {
-            boxes: BoxRay::new(simd, low, high, &query.inverse),
+            boxes: BoxRay::unset(simd),
             triangles: TriangleRay {
-                origin: origin.map(|x| simd.splat(x)),
-                direction,
+                origin: [zero; 3],
+                direction: [zero; 3],
                 bounds: ErrorBounds::new(0.0, 0.0, 0.0, 0.0),
             },
-            base: frame.base,
-            origin,
-            origin_error,
+            base: [0.0; 3],
+            origin: [0.0; 3],
+            origin_error: 0.0,
         }
     }
 
@@ -232,10 +357,24 @@ impl<S: Simd> LocalRay<S> {
         if frame.base == self.base {
             return;
         }
-        let (low, high, origin, origin_error) = local_origin(query, frame);
-        self.boxes.set_origin(simd, low, high, &query.inverse);
-        self.triangles.origin = origin.map(|x| simd.splat(x));
-        (self.base, self.origin, self.origin_error) = (frame.base, origin, origin_error);
+        let (origin, lanes) = local_origin(simd, query.origin, frame);
+        self.boxes.set_origin(simd, lanes);
+        self.triangles.origin = simd.splat3(origin);
+        (self.base, self.origin) = (frame.base, origin);
+        self.origin_error = query.origin_error_in(frame, origin);
+        self.forget_origin_if_lost(simd);
+    }
+
+    /// For a ray that starts near or outside the end of the range of f32 and does not approach: every box passes, and no
+    /// triangle is rejected.
+    #[inline(always)]
+    fn forget_origin_if_lost(&mut self, simd: S) {
+        // Written so that NaN is caught.
+        if !(self.origin_error < LOCAL_MAX) {
+            self.boxes.set_origin_unknown(simd);
+            self.triangles.origin = simd.splat3([0.0; 3]);
+            (self.origin, self.origin_error) = ([0.0; 3], f32::INFINITY);
+        }
     }
 
     /// Sets the bounds of the reject test for triangles between `low` and `high` whose vertices are off by at most
@@ -244,37 +383,29 @@ impl<S: Simd> LocalRay<S> {
     pub fn set_reach(&mut self, query: &QueryRay, low: &[f32; 3], high: &[f32; 3], vertex_error: f32) {
         let mut reach = 0.0f32;
         for axis in 0..3 {
-            let farther = (high[axis] - self.origin[axis]).max(self.origin[axis] - low[axis]);
-            reach = reach.max(farther);
+            let (above, below) = (high[axis] - self.origin[axis], self.origin[axis] - low[axis]);
+            let farther = if above > below { above } else { below };
+            reach = if farther > reach { farther } else { reach };
         }
         let reach = reach * (1.0 + 1e-6) + self.origin_error + vertex_error;
         self.triangles.bounds = ErrorBounds::new(query.direction_sum, reach, self.origin_error, vertex_error);
     }
 }
 
-/// The ray's origin in a frame: bounds below and above, a rounded value, and how far off that is.
+/// More than the rounding of an origin by [`local_origin`].
 #[inline(always)]
-fn local_origin(query: &QueryRay, frame: &Frame) -> ([f32; 3], [f32; 3], [f32; 3], f32) {
-    let (mut low, mut high, mut origin) = ([0.0f32; 3], [0.0f32; 3], [0.0f32; 3]);
-    let mut error = f32::MIN_POSITIVE;
-    for axis in 0..3 {
-        let difference = query.origin[axis] - frame.base[axis];
-        // A difference with 0 is exact; any other rounds once.
-        let rounding = if frame.base[axis] == 0.0 { 0.0 } else { f64::EPSILON * difference.abs() };
-        let (local, slack) =
-            (difference * frame.scale, (query.origin_error[axis] + rounding) * frame.scale * (1.0 + 1e-9));
-        low[axis] = round_down_f32(local - slack);
-        high[axis] = round_up_f32(local + slack);
-        if !(low[axis] >= f32::MIN && high[axis] <= f32::MAX) {
-            // A ray that starts outside the range of f32 and does not approach: every box passes on this axis but
-            // the empty ones, whose infinite corners must not meet an infinite origin.
-            (low[axis], high[axis]) = (f32::MIN, f32::MAX);
-        }
-        origin[axis] = (local as f32).clamp(f32::MIN, f32::MAX);
-        error = error.max(1.000_001 * (high[axis] - low[axis]));
-    }
-    (low, high, origin, error)
+fn origin_error(origin: [f32; 3]) -> f32 {
+    let (x, y, z) = (origin[0].abs(), origin[1].abs(), origin[2].abs());
+    let largest = if x > y { x } else { y };
+    let largest = if largest > z { largest } else { z };
+    largest * (1.0 / (1u32 << 23) as f32) + f32::MIN_POSITIVE
 }
+
+/// Largest error of an origin with which the tests still make sense; coordinates of a frame stay below 2^41.
+const LOCAL_MAX: f32 = 1e30;
+
+/// By how much the exact ray may round an origin: see [`RayFrame`].
+const COORDINATE_ROUNDING: f64 = power_of_two(-252);
 
 /// The interval of a query in f32, the same number in every lane.
 #[inline(always)]

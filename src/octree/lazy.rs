@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use super::build::BuildScratch;
 use super::coarse::CoarseTree;
 use super::fine::FineLayout;
-use super::frame::Frame;
+use super::frame::{Frame, Space};
 use super::touched::TouchedBlocks;
 use super::{LeafLayout, OctreeOptions, Tier};
 use crate::block::{BlockData, DecodeScratch};
@@ -31,6 +31,7 @@ pub struct LazyOctree {
     pub(crate) model: Arc<Model>,
     pub(crate) cache: Arc<dyn GeometryCache>,
     pub(crate) coarse: CoarseTree,
+    pub(crate) space: Space,
     pub(crate) layout: FineLayout,
     pub(crate) level: SimdLevel,
     pub(crate) tier: Tier,
@@ -252,6 +253,7 @@ impl Parts {
         LazyOctree {
             source,
             touched: TouchedBlocks::new(self.model.blocks.len()),
+            space: Space::new(self.model.bounds, self.coarse.frame),
             model: self.model,
             cache,
             coarse: self.coarse,

@@ -17,6 +17,6 @@ pub use options::{LeafLayout, OctreeOptions, Tier};
 pub(crate) use build::BuildScratch;
 pub(crate) use fill::build;
 pub(crate) use fine::{Fine, TriangleLocation};
-pub(crate) use frame::{LocalRay, QueryRay, splat_interval};
+pub(crate) use frame::{LocalRay, QueryRay, prepare, splat_interval};
 pub(crate) use lazy::{TracerPermit, tracer_bytes};
 pub(crate) use node::{Child, Node, ROOT, STACK_MAX};

@@ -53,9 +53,9 @@ impl Simd for Avx2 {
         unsafe { _mm256_loadu_ps(x.as_ptr()) }
     }
     #[inline(always)]
-    fn load_at(self, x: &[f32], offset: usize) -> __m256 {
-        assert!(x.len() >= LANES && offset <= x.len() - LANES);
-        // SAFETY: as for `pure`; the assertion puts all eight f32 inside `x`, and the load may be unaligned.
+    unsafe fn load_unchecked(self, x: &[f32], offset: usize) -> __m256 {
+        debug_assert!(offset + LANES <= x.len());
+        // SAFETY: as for `pure`; the caller puts all eight f32 inside `x`, and the load may be unaligned.
         unsafe { _mm256_loadu_ps(x.as_ptr().add(offset)) }
     }
     #[inline(always)]
@@ -113,6 +113,10 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn flip_sign(self, a: __m256, sign: __m256) -> __m256 {
         pure!(_mm256_xor_ps(a, _mm256_and_ps(sign, _mm256_set1_ps(-0.0))))
+    }
+    #[inline(always)]
+    fn select(self, m: __m256, a: __m256, b: __m256) -> __m256 {
+        pure!(_mm256_blendv_ps(b, a, m))
     }
     #[inline(always)]
     fn lt(self, a: __m256, b: __m256) -> __m256 {

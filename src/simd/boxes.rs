@@ -1,9 +1,10 @@
 //! One ray against eight boxes.
 //!
-//! The test never misses a box that the ray meets (I3). For each axis the entry is `(near - o) * inv`; the subtraction,
-//! the inverse and the product each round once, so entry and exit are off by a factor of at most `(1 + u)^3` each
-//! (Ize, "Robust BVH Ray Traversal", 2013). [`BoxRay::new`] therefore scales the exit's inverse up by more than
-//! `(1 + u)^6`, and the origin is given as an interval, so that rounding it only widens the slabs.
+//! The test never misses a box that the ray meets (I3). For each axis the entry is `(near - o) * inv`: the subtraction and
+//! the product round once each, the inverse twice (direction and quotient), so entry and exit are off by a factor of at
+//! most `(1 + u)^4` each, `u = 2^-24` (after Ize, "Robust BVH Ray Traversal", 2013). The exit's inverse is
+//! therefore scaled up by more than `(1 + u)^8`, and the origin is given as an interval, so that rounding it only
+//! widens the slabs.
 
 use super::lanes::{LANES, Simd};
 
@@ -14,72 +15,134 @@ pub type Boxes = [[f32; LANES]; 6];
 /// A ray ready for box tests. Directions are scaled so that the largest magnitude is in `1.0 .. 2.0`.
 #[derive(Clone, Copy)]
 pub struct BoxRay<S: Simd> {
-    /// The end of the origin's interval that makes the entry earlier.
-    near_origin: [S::F; 3],
-    /// The end that makes the exit later.
-    far_origin: [S::F; 3],
-    near_inverse: [S::F; 3],
-    far_inverse: [S::F; 3],
-    /// Row of `Boxes` that the ray enters by, 0 ..= 5; the opposite row it leaves by. Private: kept in range by `new`.
-    near_row: [usize; 3],
-    far_row: [usize; 3],
+    // By name, not in an array: what is only ever named can live in registers.
+    x: Axis<S>,
+    y: Axis<S>,
+    z: Axis<S>,
+    /// The inverse by axis in lanes 0 to 2, and what to widen the origin by.
+    inverse: S::F,
+    widen: S::F,
 }
 
-/// More than `(1 + 2^-24)^6`, with room for the rounding of the inverse itself.
-const WIDEN: f64 = 1.0 + 1.0 / (1u64 << 20) as f64;
+/// One axis of a ray.
+#[derive(Clone, Copy)]
+struct Axis<S: Simd> {
+    /// The end of the origin's interval that makes the entry earlier.
+    near_origin: S::F,
+    /// The end that makes the exit later.
+    far_origin: S::F,
+    near_inverse: S::F,
+    far_inverse: S::F,
+    /// Row of `Boxes` that the ray enters by, 0 ..= 5; the opposite row it leaves by. Kept in range by `set_direction`.
+    near_row: usize,
+    far_row: usize,
+}
+
+/// More than `(1 + 2^-24)^8`, with room for the rounding of the product with it.
+const WIDEN: f32 = 1.0 + 1.0 / (1u32 << 20) as f32;
 
 /// Widens the origin so that products in the subnormal range, which lose absolute accuracy, cannot matter: next to
 /// numbers below 2^-96 it is larger than their rounding, and differences of larger f32 are 0 or at least 2^-120.
 const TINY: f32 = 1.0 / (1u128 << 120) as f32;
 
-/// How far a ray can drift on an axis whose direction's inverse overflows (magnitude below 2^-127), with `t` at most
-/// 2^63 inside any model's frame.
-const DRIFT: f32 = 1.0 / (1u64 << 60) as f32;
+/// More than a ray can drift on an axis with a direction below [`OBLIQUE_MIN`], with `t` at most 2^60 inside any model's frame.
+const DRIFT: f32 = 1.0 / (1u64 << 40) as f32;
+
+/// A direction component as small as this is not [`BoxRay::is_oblique`].
+const OBLIQUE_MIN: f32 = 1.0 / (1u128 << 100) as f32;
+
+/// Twice the rounding of an f32, and more than that of the steps to it in f64.
+const ORIGIN_ROUNDING: f32 = 1.0 / (1u32 << 22) as f32;
+
+/// The axes along which a ray hardly moves, for [`BoxRay::set_direction`].
+#[derive(Clone, Copy, Debug)]
+pub struct ParallelAxes {
+    /// 1 in lanes whose axis is parallel, else 0.
+    mask: [f32; LANES],
+    widen: [f32; LANES],
+}
+
+impl ParallelAxes {
+    /// For a direction that is oblique ([`BoxRay::is_oblique`]) and an origin that is exact before it is rounded to f32.
+    pub const NONE: ParallelAxes = ParallelAxes { mask: [0.0; LANES], widen: [TINY; LANES] };
+
+    /// For any direction whose largest magnitude is in `1.0 .. 2.0`, and an origin that is off by `origin_error` per
+    /// axis before it is rounded to f32.
+    pub fn new(direction: [f64; 3], origin_error: f32) -> ParallelAxes {
+        let mut axes = ParallelAxes::NONE;
+        for axis in 0..3 {
+            if direction[axis].abs() < f64::from(OBLIQUE_MIN) {
+                // The slab holds the ray's origin, give or take the drift, or the ray never meets it.
+                axes.mask[axis] = 1.0;
+                axes.widen[axis] = if direction[axis] == 0.0 { TINY } else { DRIFT };
+            }
+            axes.widen[axis] += origin_error;
+        }
+        axes
+    }
+}
 
 impl<S: Simd> BoxRay<S> {
-    /// A ray whose origin lies between `origin_low` and `origin_high` (inclusive).
+    /// Whether the direction in lanes 0 to 2 has no component so small that its inverse comes near overflow.
     #[inline(always)]
-    pub fn new(
-        simd: S,
-        origin_low: [f32; 3],
-        origin_high: [f32; 3],
-        inverse: &InverseDirection,
-    ) -> BoxRay<S> {
-        let zero = simd.splat(0.0);
-        let mut ray = BoxRay {
-            near_origin: [zero; 3],
-            far_origin: [zero; 3],
-            near_inverse: [zero; 3],
-            far_inverse: [zero; 3],
-            near_row: [0; 3],
-            far_row: [0; 3],
-        };
-        for axis in 0..3 {
-            ray.near_inverse[axis] = simd.splat(inverse.near[axis]);
-            ray.far_inverse[axis] = simd.splat(inverse.far[axis]);
-        }
-        ray.set_origin(simd, origin_low, origin_high, inverse);
-        ray
+    pub fn is_oblique(simd: S, direction: S::F) -> bool {
+        simd.bits(simd.le(simd.splat(OBLIQUE_MIN), simd.abs(direction))) & 7 == 7
     }
 
-    /// Gives the ray another origin (for a block with another base).
+    /// No ray yet: both setters are to be called.
     #[inline(always)]
-    pub fn set_origin(
-        &mut self,
-        simd: S,
-        origin_low: [f32; 3],
-        origin_high: [f32; 3],
-        inverse: &InverseDirection,
-    ) {
-        for axis in 0..3 {
-            let low = simd.splat(origin_low[axis] - inverse.widen[axis]);
-            let high = simd.splat(origin_high[axis] + inverse.widen[axis]);
-            let negative = inverse.negative[axis];
-            (self.near_origin[axis], self.far_origin[axis]) =
-                if negative { (low, high) } else { (high, low) };
-            self.near_row[axis] = if negative { axis + 3 } else { axis };
-            self.far_row[axis] = if negative { axis } else { axis + 3 };
-        }
+    pub fn unset(simd: S) -> BoxRay<S> {
+        let zero = simd.splat(0.0);
+        let axis = Axis {
+            near_origin: zero,
+            far_origin: zero,
+            near_inverse: zero,
+            far_inverse: zero,
+            near_row: 0,
+            far_row: 0,
+        };
+        BoxRay { x: axis, y: axis, z: axis, inverse: zero, widen: zero }
+    }
+
+    /// Sets the direction, in lanes 0 to 2, rounded. The origin is to be set after it.
+    #[inline(always)]
+    pub fn set_direction(&mut self, simd: S, direction: S::F, parallel: &ParallelAxes) {
+        let zero = simd.splat(0.0);
+        // On a parallel axis 1 / 0: infinite, positive.
+        let is_parallel = simd.lt(zero, simd.load(&parallel.mask));
+        let inverse = simd.div(simd.splat(1.0), simd.select(is_parallel, zero, direction));
+        let negative = simd.bits(simd.lt(inverse, zero)) as usize;
+        let near = simd.to_array(inverse);
+        let far = simd.to_array(simd.mul(inverse, simd.splat(WIDEN)));
+        self.x.set_direction(simd, near[0], far[0], 0, negative & 1);
+        self.y.set_direction(simd, near[1], far[1], 1, negative >> 1 & 1);
+        self.z.set_direction(simd, near[2], far[2], 2, negative >> 2 & 1);
+        self.inverse = inverse;
+        self.widen = simd.load(&parallel.widen);
+    }
+
+    /// Sets the origin, in lanes 0 to 2, rounded to nearest.
+    #[inline(always)]
+    pub fn set_origin(&mut self, simd: S, origin: S::F) {
+        let step = simd.mul_add(simd.abs(origin), simd.splat(ORIGIN_ROUNDING), self.widen);
+        // Entries are earlier and exits later if the origin is farther along the ray, and nearer, respectively.
+        let step = simd.flip_sign(step, self.inverse);
+        self.set_origins(simd, simd.add(origin, step), simd.sub(origin, step));
+    }
+
+    /// Lets the origin be anywhere, so that every box passes but the empty ones.
+    pub fn set_origin_unknown(&mut self, simd: S) {
+        // Finite, because the empty boxes' infinite corners must not meet an infinite origin.
+        let near = simd.flip_sign(simd.splat(f32::MAX), self.inverse);
+        self.set_origins(simd, near, simd.sub(simd.splat(0.0), near));
+    }
+
+    #[inline(always)]
+    fn set_origins(&mut self, simd: S, near: S::F, far: S::F) {
+        let (near, far) = (simd.to_array(near), simd.to_array(far));
+        (self.x.near_origin, self.x.far_origin) = (simd.splat(near[0]), simd.splat(far[0]));
+        (self.y.near_origin, self.y.far_origin) = (simd.splat(near[1]), simd.splat(far[1]));
+        (self.z.near_origin, self.z.far_origin) = (simd.splat(near[2]), simd.splat(far[2]));
     }
 
     /// Tests eight boxes against the part of the ray between `t_min` and `t_max`. Bit `i` of the result is set if the
@@ -88,30 +151,55 @@ impl<S: Simd> BoxRay<S> {
     /// `t_min ..= t_max`.
     #[inline(always)]
     pub fn test(&self, simd: S, boxes: &Boxes, t_min: S::F, t_max: S::F) -> (S::F, u32) {
-        // SAFETY: `test_rows` asks for rows 0 ..= 5 only.
-        self.test_rows(simd, |row| simd.load(unsafe { boxes.get_unchecked(row) }), t_min, t_max)
+        let (mut near, mut far) = (t_min, t_max);
+        self.x.clip(simd, self.x.planes(simd, boxes), &mut near, &mut far);
+        self.y.clip(simd, self.y.planes(simd, boxes), &mut near, &mut far);
+        self.z.clip(simd, self.z.planes(simd, boxes), &mut near, &mut far);
+        (near, simd.bits(simd.le(near, far)))
     }
 
     /// [`BoxRay::test`] for packed boxes, except for the lanes that hold no box.
     #[inline(always)]
     pub fn test_packed(&self, simd: S, boxes: &PackedBoxes, t_min: S::F, t_max: S::F) -> (S::F, u32) {
-        let (near, hits) = self.test_rows(simd, |row| boxes.row(simd, row), t_min, t_max);
-        (near, hits & boxes.used)
+        let (mut near, mut far) = (t_min, t_max);
+        self.x.clip(simd, self.x.packed_planes(simd, boxes), &mut near, &mut far);
+        self.y.clip(simd, self.y.packed_planes(simd, boxes), &mut near, &mut far);
+        self.z.clip(simd, self.z.packed_planes(simd, boxes), &mut near, &mut far);
+        (near, simd.bits(simd.le(near, far)) & boxes.used)
+    }
+}
+
+impl<S: Simd> Axis<S> {
+    /// `negative` is 1 or 0.
+    #[inline(always)]
+    fn set_direction(&mut self, simd: S, near_inverse: f32, far_inverse: f32, axis: usize, negative: usize) {
+        self.near_inverse = simd.splat(near_inverse);
+        self.far_inverse = simd.splat(far_inverse);
+        self.near_row = axis + 3 * negative;
+        self.far_row = axis + 3 - 3 * negative;
+    }
+
+    /// Where the ray enters and leaves the slabs of eight boxes.
+    #[inline(always)]
+    fn planes(&self, simd: S, boxes: &Boxes) -> (S::F, S::F) {
+        // SAFETY: `set_direction` puts only 0 ..= 5 into the rows, and nothing else writes them.
+        let (near, far) = unsafe { (boxes.get_unchecked(self.near_row), boxes.get_unchecked(self.far_row)) };
+        (simd.load(near), simd.load(far))
     }
 
     #[inline(always)]
-    fn test_rows(&self, simd: S, load: impl Fn(usize) -> S::F, t_min: S::F, t_max: S::F) -> (S::F, u32) {
-        let (mut near, mut far) = (t_min, t_max);
-        for axis in 0..3 {
-            // `set_origin` puts only 0 ..= 5 into the rows, and nothing else writes them.
-            let (near_plane, far_plane) = (load(self.near_row[axis]), load(self.far_row[axis]));
-            let entry = simd.mul(simd.sub(near_plane, self.near_origin[axis]), self.near_inverse[axis]);
-            let exit = simd.mul(simd.sub(far_plane, self.far_origin[axis]), self.far_inverse[axis]);
-            // 0 * inf, a ray inside a slab's border plane, is NaN: `max` and `min` then keep their second operand.
-            near = simd.max(entry, near);
-            far = simd.min(exit, far);
-        }
-        (near, simd.bits(simd.le(near, far)))
+    fn packed_planes(&self, simd: S, boxes: &PackedBoxes) -> (S::F, S::F) {
+        (boxes.row(simd, self.near_row), boxes.row(simd, self.far_row))
+    }
+
+    /// Narrows `near ..= far` to what lies between two planes.
+    #[inline(always)]
+    fn clip(&self, simd: S, (near_plane, far_plane): (S::F, S::F), near: &mut S::F, far: &mut S::F) {
+        let entry = simd.mul(simd.sub(near_plane, self.near_origin), self.near_inverse);
+        let exit = simd.mul(simd.sub(far_plane, self.far_origin), self.far_inverse);
+        // 0 * inf, a ray inside a slab's border plane, is NaN: `max` and `min` then keep their second operand.
+        *near = simd.max(entry, *near);
+        *far = simd.min(exit, *far);
     }
 }
 
@@ -166,39 +254,5 @@ impl PackedBoxes {
     fn row<S: Simd>(&self, simd: S, row: usize) -> S::F {
         let cells = simd.load_bytes(&self.cells[row]);
         simd.mul_add(cells, simd.splat(self.step[row]), simd.splat(self.base[row]))
-    }
-}
-
-/// The inverse of a direction, with what the box test needs where it overflows. Independent of the origin.
-#[derive(Clone, Copy, Debug)]
-pub struct InverseDirection {
-    near: [f32; 3],
-    far: [f32; 3],
-    widen: [f32; 3],
-    negative: [bool; 3],
-}
-
-impl InverseDirection {
-    /// Of a direction whose largest magnitude is in `1.0 .. 2.0`.
-    #[inline(always)]
-    pub fn new(direction: [f64; 3]) -> InverseDirection {
-        let mut result =
-            InverseDirection { near: [0.0; 3], far: [0.0; 3], widen: [TINY; 3], negative: [false; 3] };
-        for axis in 0..3 {
-            let exact = 1.0 / direction[axis];
-            let near = exact as f32;
-            if near.is_finite() {
-                result.near[axis] = near;
-                result.far[axis] = (exact * WIDEN) as f32;
-                result.negative[axis] = near < 0.0;
-            } else {
-                // The axis is taken as parallel: the slab holds the ray's origin, give or take the drift, or the ray
-                // never meets it.
-                result.near[axis] = f32::INFINITY;
-                result.far[axis] = f32::INFINITY;
-                result.widen[axis] = if direction[axis] == 0.0 { TINY } else { DRIFT };
-            }
-        }
-        result
     }
 }

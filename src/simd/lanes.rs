@@ -5,6 +5,9 @@ pub const LANES: usize = 8;
 
 /// Eight f32 lanes. Implementors are tokens of no size that exist only where the CPU has the instructions.
 ///
+/// Code on the hot path must not hand lanes to closures (`array::map` and the like): a closure that the compiler does not
+/// inline is compiled without the level's instructions, and each operation in it becomes a call.
+///
 /// Kernels may not rely on whether `mul_add` rounds once or twice; bounds count it as two roundings.
 pub trait Simd: Copy {
     /// Eight f32.
@@ -18,9 +21,9 @@ pub trait Simd: Copy {
     fn load(self, x: &[f32; LANES]) -> Self::F;
     /// Eight numbers from `x[offset]` on.
     ///
-    /// # Panics
-    /// If they do not lie inside `x`.
-    fn load_at(self, x: &[f32], offset: usize) -> Self::F;
+    /// # Safety
+    /// `x` has at least `offset + 8` numbers.
+    unsafe fn load_unchecked(self, x: &[f32], offset: usize) -> Self::F;
     /// Lane `i` is the number that `x[i]` stands for; exact.
     fn load_bytes(self, x: &[u8; LANES]) -> Self::F;
     /// The lanes as an array.
@@ -47,6 +50,8 @@ pub trait Simd: Copy {
     fn abs(self, a: Self::F) -> Self::F;
     /// `a`, negated where the sign bit of `sign` is set.
     fn flip_sign(self, a: Self::F, sign: Self::F) -> Self::F;
+    /// `if m { a } else { b }`.
+    fn select(self, m: Self::M, a: Self::F, b: Self::F) -> Self::F;
     /// `a < b`; false for NaN.
     fn lt(self, a: Self::F, b: Self::F) -> Self::M;
     /// `a <= b`; false for NaN.
@@ -59,6 +64,31 @@ pub trait Simd: Copy {
     fn bits(self, m: Self::M) -> u32;
     /// A hint that the cache line at `x` will be read soon.
     fn prefetch<T>(self, x: &T);
+
+    /// Each of three numbers in every lane.
+    #[inline(always)]
+    fn splat3(self, x: [f32; 3]) -> [Self::F; 3] {
+        [self.splat(x[0]), self.splat(x[1]), self.splat(x[2])]
+    }
+    /// Differences of eight pairs of vectors.
+    #[inline(always)]
+    fn sub3(self, p: [Self::F; 3], q: [Self::F; 3]) -> [Self::F; 3] {
+        [self.sub(p[0], q[0]), self.sub(p[1], q[1]), self.sub(p[2], q[2])]
+    }
+    /// Cross products of eight pairs of vectors; two roundings for each component.
+    #[inline(always)]
+    fn cross(self, p: [Self::F; 3], q: [Self::F; 3]) -> [Self::F; 3] {
+        [
+            self.mul_sub(p[1], q[2], self.mul(p[2], q[1])),
+            self.mul_sub(p[2], q[0], self.mul(p[0], q[2])),
+            self.mul_sub(p[0], q[1], self.mul(p[1], q[0])),
+        ]
+    }
+    /// Dot products of eight pairs of vectors; three roundings.
+    #[inline(always)]
+    fn dot(self, p: [Self::F; 3], q: [Self::F; 3]) -> Self::F {
+        self.mul_add(p[0], q[0], self.mul_add(p[1], q[1], self.mul(p[2], q[2])))
+    }
 }
 
 /// Plain arrays, which the compiler turns into whatever vectors the target has. Exists on every CPU.
@@ -83,9 +113,9 @@ impl Simd for Portable {
         *x
     }
     #[inline(always)]
-    fn load_at(self, x: &[f32], offset: usize) -> Self::F {
+    unsafe fn load_unchecked(self, x: &[f32], offset: usize) -> Self::F {
         let x = &x[offset..offset + LANES];
-        std::array::from_fn(|i| x[i])
+        [x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]]
     }
     #[inline(always)]
     fn load_bytes(self, x: &[u8; LANES]) -> Self::F {
@@ -138,6 +168,10 @@ impl Simd for Portable {
     #[inline(always)]
     fn flip_sign(self, a: Self::F, sign: Self::F) -> Self::F {
         zip(a, sign, |a, s| f32::from_bits(a.to_bits() ^ (s.to_bits() & 0x8000_0000)))
+    }
+    #[inline(always)]
+    fn select(self, m: Self::M, a: Self::F, b: Self::F) -> Self::F {
+        std::array::from_fn(|i| if m[i] { a[i] } else { b[i] })
     }
     #[inline(always)]
     fn lt(self, a: Self::F, b: Self::F) -> Self::M {

@@ -36,10 +36,15 @@ impl<S: Simd> Packet<S> {
     /// If `rows` is shorter than `8 * stride + first + 8`.
     #[inline(always)]
     pub fn from_rows(simd: S, rows: &[f32], stride: usize, first: usize) -> Packet<S> {
-        // One check for nine loads: the last row reaches furthest.
-        let rows = &rows[..8 * stride + first + LANES];
-        let row = |r: usize| simd.load_at(rows, r * stride + first);
-        Packet { a: [row(0), row(1), row(2)], b: [row(3), row(4), row(5)], c: [row(6), row(7), row(8)] }
+        assert!(rows.len() >= 8 * stride + first + LANES);
+        // SAFETY: the last row's load reaches furthest, and the assertion puts it inside `rows`.
+        unsafe {
+            Packet {
+                a: load_rows(simd, rows, stride, first),
+                b: load_rows(simd, rows, stride, 3 * stride + first),
+                c: load_rows(simd, rows, stride, 6 * stride + first),
+            }
+        }
     }
 
     /// From vertex indices: lane `i` is triangle `i`; lanes from `triangles.len()` on repeat the first.
@@ -58,21 +63,27 @@ impl<S: Simd> Packet<S> {
                 }
             }
         }
-        let [a, b, c] = lanes.map(|corner| corner.map(|row| simd.load(&row)));
-        Packet { a, b, c }
+        Packet { a: load3(simd, &lanes[0]), b: load3(simd, &lanes[1]), c: load3(simd, &lanes[2]) }
     }
+}
 
-    /// The magnitude of the longest edge component of each lane.
-    #[inline(always)]
-    pub fn edges(&self, simd: S) -> S::F {
-        let mut longest = simd.splat(0.0);
-        for axis in 0..3 {
-            let (a, b, c) = (self.a[axis], self.b[axis], self.c[axis]);
-            longest = simd.max(simd.abs(simd.sub(b, a)), longest);
-            longest = simd.max(simd.abs(simd.sub(c, a)), longest);
-        }
-        longest
+/// # Safety
+/// `rows` has at least `start + 2 * stride + 8` numbers.
+#[inline(always)]
+unsafe fn load_rows<S: Simd>(simd: S, rows: &[f32], stride: usize, start: usize) -> [S::F; 3] {
+    // SAFETY: the caller's promise.
+    unsafe {
+        [
+            simd.load_unchecked(rows, start),
+            simd.load_unchecked(rows, start + stride),
+            simd.load_unchecked(rows, start + 2 * stride),
+        ]
     }
+}
+
+#[inline(always)]
+fn load3<S: Simd>(simd: S, rows: &[[f32; LANES]; 3]) -> [S::F; 3] {
+    [simd.load(&rows[0]), simd.load(&rows[1]), simd.load(&rows[2])]
 }
 
 /// A ray ready for triangle tests.
@@ -144,29 +155,16 @@ struct Weights<F> {
 impl<S: Simd> TriangleRay<S> {
     #[inline(always)]
     fn weights(&self, simd: S, packet: &Packet<S>) -> Weights<S::F> {
-        let sub = |p: [S::F; 3], q: [S::F; 3]| -> [S::F; 3] {
-            [simd.sub(p[0], q[0]), simd.sub(p[1], q[1]), simd.sub(p[2], q[2])]
-        };
-        let cross = |p: [S::F; 3], q: [S::F; 3]| -> [S::F; 3] {
-            [
-                simd.mul_sub(p[1], q[2], simd.mul(p[2], q[1])),
-                simd.mul_sub(p[2], q[0], simd.mul(p[0], q[2])),
-                simd.mul_sub(p[0], q[1], simd.mul(p[1], q[0])),
-            ]
-        };
-        let dot = |p: [S::F; 3], q: [S::F; 3]| -> S::F {
-            simd.mul_add(p[0], q[0], simd.mul_add(p[1], q[1], simd.mul(p[2], q[2])))
-        };
-        let e1 = sub(packet.b, packet.a);
-        let e2 = sub(packet.c, packet.a);
-        let to_origin = sub(self.origin, packet.a);
-        let p = cross(self.direction, e2);
-        let q = cross(to_origin, e1);
-        let det = dot(e1, p);
+        let e1 = simd.sub3(packet.b, packet.a);
+        let e2 = simd.sub3(packet.c, packet.a);
+        let to_origin = simd.sub3(self.origin, packet.a);
+        let p = simd.cross(self.direction, e2);
+        let q = simd.cross(to_origin, e1);
+        let det = simd.dot(e1, p);
         Weights {
-            u: simd.flip_sign(dot(to_origin, p), det),
-            v: simd.flip_sign(dot(self.direction, q), det),
-            t: simd.flip_sign(dot(e2, q), det),
+            u: simd.flip_sign(simd.dot(to_origin, p), det),
+            v: simd.flip_sign(simd.dot(self.direction, q), det),
+            t: simd.flip_sign(simd.dot(e2, q), det),
             det: simd.abs(det),
         }
     }

@@ -1,66 +1,84 @@
 //! Any hit: whether something lies between a ray's ends, in whatever order is found first.
 
 use super::closest::{Work, lanes_in_use, leaf_packet};
+use super::exact::{ExactRay, RayError};
+use super::stack::Stack;
 use super::{MaterialSet, Occlusion};
-use crate::error::LoadError;
 use crate::geom::Ray;
-use crate::octree::{Child, Fine, LocalRay, QueryRay, ROOT, TriangleLocation, splat_interval};
+use crate::octree::{Child, Fine, LocalRay, QueryRay, ROOT, TriangleLocation, prepare, splat_interval};
 use crate::simd::{Interval, LANES, Simd};
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
 
 /// One any-hit query on its way.
-struct Any<'m, S: Simd> {
-    query: QueryRay,
-    local: LocalRay<S>,
+struct Any<'a, S: Simd> {
+    local: &'a mut LocalRay<S>,
     /// Holds the ray's interval.
     outer: Interval<S::F>,
     /// Lies inside the ray's interval.
     inner: Interval<S::F>,
-    ignore: Option<&'m MaterialSet>,
+    query: &'a QueryRay,
+    ray: &'a Ray,
+    ignore: Option<&'a MaterialSet>,
     /// An ignored material was hit.
     filtered: bool,
 }
 
-/// Whether the ray is blocked. The ray is valid.
+/// Whether the ray is blocked.
 #[inline(always)]
 pub(super) fn occlusion<S: Simd, const CERTIFIED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
+    (query, local): (&mut QueryRay, &mut LocalRay<S>),
     ray: &Ray,
     ignore: Option<&MaterialSet>,
-) -> Result<Occlusion, LoadError> {
+) -> Result<Occlusion, RayError> {
     let coarse = &work.octree.coarse;
-    let query = QueryRay::new(ray, coarse.frame.scale, &work.octree.model.bounds);
+    if let Some(reason) = prepare(simd, ray, &work.octree.space, query, local) {
+        return Err(RayError::Invalid(reason));
+    }
     let high = query.local_high(ray.t_max);
     let (inner_low, inner_high) = query.local_inner(ray.t_min, ray.t_max);
     let mut any = Any {
-        local: LocalRay::new(simd, &query, &coarse.frame),
+        local,
         outer: splat_interval(simd, query.local_low(ray.t_min), high),
         inner: splat_interval(simd, inner_low, inner_high),
         query,
+        ray,
         ignore,
         filtered: false,
     };
-    let coarse_boxes = any.local.boxes;
-    work.stack.truncate(0);
-    let mut next = Some(Child::node(ROOT));
-    while let Some(child) = next {
+    work.exact.reset();
+    let mut stack = Stack::new(work.stack);
+    let mut child = Child::node(ROOT);
+    loop {
         work.counters.box_tests += 1;
-        let pushed = if child.is_leaf() {
+        let mut next = None;
+        if child.is_leaf() {
             let block = child.block_index();
             let sub_boxes = &coarse.sub_boxes[block as usize];
-            let (_, hits) = coarse_boxes.test_packed(simd, sub_boxes, any.outer.low, any.outer.high);
-            if hits != 0 && any.visit_block::<CERTIFIED>(simd, work, BlockId(block))? {
-                return Ok(Occlusion::Blocked);
+            let (_, hits) = any.local.boxes.test_packed(simd, sub_boxes, any.outer.low, any.outer.high);
+            if hits != 0 {
+                work.counters.block_visits += 1;
+                let slot = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?;
+                let fine = Fine::new(slot);
+                if any.visit_block::<CERTIFIED>(simd, &fine, &mut stack, work.exact, work.counters) {
+                    return Ok(Occlusion::Blocked);
+                }
+                any.local.enter_frame(simd, any.query, &coarse.frame);
             }
-            None
         } else {
             let node = &coarse.nodes[child.node_index()];
-            let (near, hits) = coarse_boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
-            work.stack.push_sorted(simd, node, near, hits)
-        };
-        next = pushed.or_else(|| work.stack.pop(0, high)).map(|entry| entry.child);
+            let (near, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
+            next = stack.push_sorted(simd, node, near, hits);
+        }
+        if next.is_none() {
+            next = stack.pop(0, f32::INFINITY);
+        }
+        match next {
+            Some(entry) => child = entry.child,
+            None => break,
+        }
     }
     Ok(if any.filtered { Occlusion::Filtered } else { Occlusion::Clear })
 }
@@ -71,35 +89,31 @@ impl<S: Simd> Any<'_, S> {
     fn visit_block<const CERTIFIED: bool>(
         &mut self,
         simd: S,
-        work: &mut Work<'_, '_>,
-        block: BlockId,
-    ) -> Result<bool, LoadError> {
-        work.counters.block_visits += 1;
-        let slot = work.pins.get(work.octree, block, work.scratch, work.counters)?;
-        let fine = Fine::new(slot);
-        self.local.enter_frame(simd, &self.query, &fine.frame());
+        fine: &Fine<'_>,
+        stack: &mut Stack<'_>,
+        exact: &mut ExactRay,
+        counters: &mut TraceCounters,
+    ) -> bool {
+        self.local.enter_frame(simd, self.query, &fine.frame());
         let (low, high) = fine.extents();
-        self.local.set_reach(&self.query, low, high, fine.vertex_error());
-        let floor = work.stack.len();
+        self.local.set_reach(self.query, low, high, fine.vertex_error());
+        let floor = stack.len();
         let mut node = &fine.nodes[ROOT as usize];
         loop {
-            work.counters.box_tests += 1;
+            counters.box_tests += 1;
             let (near, hits) = self.local.boxes.test(simd, &node.bounds, self.outer.low, self.outer.high);
-            let mut next = work.stack.push_unsorted(simd, node, near, hits);
+            let mut next = stack.push_unsorted(simd, node, near, hits);
             loop {
-                let entry = match next {
-                    Some(entry) => entry,
-                    None => match work.stack.pop(floor, f32::INFINITY) {
-                        Some(entry) => entry,
-                        None => return Ok(false),
-                    },
-                };
+                if next.is_none() {
+                    next = stack.pop(floor, f32::INFINITY);
+                }
+                let Some(entry) = next else { return false };
                 if !entry.child.is_leaf() {
                     node = &fine.nodes[entry.child.node_index()];
                     break;
                 }
-                if self.visit_leaf::<CERTIFIED>(simd, &fine, entry.child, entry.edge, work.counters) {
-                    return Ok(true);
+                if self.visit_leaf::<CERTIFIED>(simd, fine, entry.child, entry.edge, exact, counters) {
+                    return true;
                 }
                 next = None;
             }
@@ -113,6 +127,7 @@ impl<S: Simd> Any<'_, S> {
         fine: &Fine<'_>,
         leaf: Child,
         edge: f32,
+        exact: &mut ExactRay,
         counters: &mut TraceCounters,
     ) -> bool {
         let (start, count) = leaf.triangle_range();
@@ -137,7 +152,7 @@ impl<S: Simd> Any<'_, S> {
                 let i = possible.trailing_zeros();
                 possible &= possible - 1;
                 let at = TriangleLocation { start, count, lane: first + i as usize };
-                if self.blocks(fine, at, certain >> i & 1 == 1, counters) {
+                if self.blocks(fine, at, certain >> i & 1 == 1, exact, counters) {
                     return true;
                 }
             }
@@ -153,6 +168,7 @@ impl<S: Simd> Any<'_, S> {
         fine: &Fine<'_>,
         at: TriangleLocation,
         certain: bool,
+        exact: &mut ExactRay,
         counters: &mut TraceCounters,
     ) -> bool {
         let ignored = self.ignore.is_some_and(|set| set.contains(fine.material(at)));
@@ -162,7 +178,8 @@ impl<S: Simd> Any<'_, S> {
         let hit = certain || {
             counters.decisions += 1;
             let vertices = fine.exact_vertices(at);
-            self.query.exact.intersect(&vertices, &mut counters.exact_fallbacks).is_some()
+            let (ray, fallbacks) = (self.ray, &mut counters.exact_fallbacks);
+            exact.decide(ray, ray.t_min, ray.t_max, &vertices, fallbacks).is_some()
         };
         self.filtered |= hit && ignored;
         hit && !ignored

@@ -1,11 +1,13 @@
 //! Closest hit: children in the order of distance, everything beyond the best hit pruned.
 
 use super::Hit;
+use super::exact::{ExactRay, RayError};
 use super::load::{LoadScratch, Pins};
-use super::stack::Stack;
-use crate::error::LoadError;
-use crate::geom::Ray;
-use crate::octree::{Child, Fine, LazyOctree, LocalRay, QueryRay, ROOT, TriangleLocation, splat_interval};
+use super::stack::{Entries, Stack};
+use crate::geom::{Ray, TriangleHit};
+use crate::octree::{
+    Child, Fine, LazyOctree, LocalRay, QueryRay, ROOT, TriangleLocation, prepare, splat_interval,
+};
 use crate::simd::{Interval, LANES, Packet, Simd};
 use crate::stats::TraceCounters;
 use crate::units::{BlockId, TriangleId};
@@ -15,113 +17,126 @@ pub(super) struct Work<'t, 'o> {
     pub octree: &'o LazyOctree,
     pub pins: &'t mut Pins<'o>,
     pub scratch: &'t mut LoadScratch,
-    pub stack: &'t mut Stack,
+    pub stack: &'t mut Entries,
+    pub exact: &'t mut ExactRay,
     pub counters: &'t mut TraceCounters,
 }
 
 /// One closest-hit query on its way.
-struct Closest<S: Simd> {
-    query: QueryRay,
-    local: LocalRay<S>,
+struct Closest<'r, S: Simd> {
+    local: &'r mut LocalRay<S>,
     interval: Interval<S::F>,
     /// `interval.high` as a number.
     high: f32,
+    query: &'r QueryRay,
+    ray: &'r Ray,
+    /// Where hits may begin: `ray.t_min` or the `t` in `after`.
+    t_min: f64,
+    /// The best hit's `t`, or where hits must end.
+    t_max: f64,
     /// Only hits strictly after this count.
     after: Option<(f64, TriangleId)>,
-    best: Option<Hit>,
+    best: &'r mut Option<Hit>,
 }
 
-/// The least hit by (t, id) among those strictly greater than `after` (I3). The ray is valid.
+/// Puts the least hit by (t, id) among those strictly greater than `after` into `best` (I3).
 #[inline(always)]
 pub(super) fn closest_hit<S: Simd, const CERTIFIED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
+    (query, local): (&mut QueryRay, &mut LocalRay<S>),
     ray: &Ray,
     after: Option<(f64, TriangleId)>,
-) -> Result<Option<Hit>, LoadError> {
-    let mut ray = *ray;
-    if let Some((t, _)) = after {
-        // Written so that NaN changes nothing.
-        if t > ray.t_min {
-            ray.t_min = t;
-        }
-        if ray.t_min > ray.t_max {
-            return Ok(None);
-        }
-    }
+    best: &mut Option<Hit>,
+) -> Result<(), RayError> {
+    *best = None;
     let coarse = &work.octree.coarse;
-    let query = QueryRay::new(&ray, coarse.frame.scale, &work.octree.model.bounds);
+    if let Some(reason) = prepare(simd, ray, &work.octree.space, query, local) {
+        return Err(RayError::Invalid(reason));
+    }
+    // Written so that NaN changes nothing.
+    let t_min = match after {
+        Some((t, _)) if t > ray.t_min => t,
+        _ => ray.t_min,
+    };
+    if t_min > ray.t_max {
+        return Ok(());
+    }
     let high = query.local_high(ray.t_max);
     let mut closest = Closest {
-        local: LocalRay::new(simd, &query, &coarse.frame),
-        interval: splat_interval(simd, query.local_low(ray.t_min), high),
-        query,
+        local,
+        interval: splat_interval(simd, query.local_low(t_min), high),
         high,
+        query,
+        ray,
+        t_min,
+        t_max: ray.t_max,
         after,
-        best: None,
+        best,
     };
-    // The coarse tree keeps the ray in its own frame; blocks with another base change a copy.
-    let coarse_boxes = closest.local.boxes;
-    work.stack.truncate(0);
-    let mut next = Some(Child::node(ROOT));
-    while let Some(child) = next {
+    work.exact.reset();
+    let mut stack = Stack::new(work.stack);
+    let mut child = Child::node(ROOT);
+    loop {
         work.counters.box_tests += 1;
+        let Closest { local, interval, .. } = &closest;
+        let mut next = None;
         if child.is_leaf() {
             let block = child.block_index();
             let sub_boxes = &coarse.sub_boxes[block as usize];
-            let (_, hits) =
-                coarse_boxes.test_packed(simd, sub_boxes, closest.interval.low, closest.interval.high);
+            let (_, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
-                closest.visit_block::<CERTIFIED>(simd, work, BlockId(block))?;
+                work.counters.block_visits += 1;
+                let slot = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?;
+                let fine = Fine::new(slot);
+                closest.visit_block::<CERTIFIED>(simd, &fine, &mut stack, work.exact, work.counters);
+                closest.local.enter_frame(simd, closest.query, &coarse.frame);
             }
-            next = work.stack.pop(0, closest.high).map(|entry| entry.child);
         } else {
             let node = &coarse.nodes[child.node_index()];
-            let (near, hits) =
-                coarse_boxes.test(simd, &node.bounds, closest.interval.low, closest.interval.high);
-            next = match work.stack.push_sorted(simd, node, near, hits) {
-                Some(entry) => Some(entry.child),
-                None => work.stack.pop(0, closest.high).map(|entry| entry.child),
-            };
+            let (near, hits) = local.boxes.test(simd, &node.bounds, interval.low, interval.high);
+            next = stack.push_sorted(simd, node, near, hits);
+        }
+        if next.is_none() {
+            next = stack.pop(0, closest.high);
+        }
+        match next {
+            Some(entry) => child = entry.child,
+            None => return Ok(()),
         }
     }
-    Ok(closest.best)
 }
 
-impl<S: Simd> Closest<S> {
+impl<S: Simd> Closest<'_, S> {
     #[inline(always)]
     fn visit_block<const CERTIFIED: bool>(
         &mut self,
         simd: S,
-        work: &mut Work<'_, '_>,
-        block: BlockId,
-    ) -> Result<(), LoadError> {
-        work.counters.block_visits += 1;
-        let slot = work.pins.get(work.octree, block, work.scratch, work.counters)?;
-        let fine = Fine::new(slot);
-        self.local.enter_frame(simd, &self.query, &fine.frame());
+        fine: &Fine<'_>,
+        stack: &mut Stack<'_>,
+        exact: &mut ExactRay,
+        counters: &mut TraceCounters,
+    ) {
+        self.local.enter_frame(simd, self.query, &fine.frame());
         let (low, high) = fine.extents();
-        self.local.set_reach(&self.query, low, high, fine.vertex_error());
-        let floor = work.stack.len();
+        self.local.set_reach(self.query, low, high, fine.vertex_error());
+        let floor = stack.len();
         let mut node = &fine.nodes[ROOT as usize];
         loop {
-            work.counters.box_tests += 1;
+            counters.box_tests += 1;
             let (near, hits) =
                 self.local.boxes.test(simd, &node.bounds, self.interval.low, self.interval.high);
-            let mut next = work.stack.push_sorted(simd, node, near, hits);
+            let mut next = stack.push_sorted(simd, node, near, hits);
             loop {
-                let entry = match next {
-                    Some(entry) => entry,
-                    None => match work.stack.pop(floor, self.high) {
-                        Some(entry) => entry,
-                        None => return Ok(()),
-                    },
-                };
+                if next.is_none() {
+                    next = stack.pop(floor, self.high);
+                }
+                let Some(entry) = next else { return };
                 if !entry.child.is_leaf() {
                     node = &fine.nodes[entry.child.node_index()];
                     break;
                 }
-                self.visit_leaf::<CERTIFIED>(simd, &fine, entry.child, entry.edge, work.counters);
+                self.visit_leaf::<CERTIFIED>(simd, fine, entry.child, entry.edge, exact, counters);
                 next = None;
             }
         }
@@ -134,6 +149,7 @@ impl<S: Simd> Closest<S> {
         fine: &Fine<'_>,
         leaf: Child,
         edge: f32,
+        exact: &mut ExactRay,
         counters: &mut TraceCounters,
     ) {
         let (start, count) = leaf.triangle_range();
@@ -148,19 +164,30 @@ impl<S: Simd> Closest<S> {
                 while survivors != 0 {
                     let lane = first + survivors.trailing_zeros() as usize;
                     survivors &= survivors - 1;
-                    self.decide(simd, fine, TriangleLocation { start, count, lane }, counters);
+                    let at = TriangleLocation { start, count, lane };
+                    let vertices = fine.exact_vertices(at);
+                    counters.decisions += 1;
+                    let (t_min, t_max) = (self.t_min, self.t_max);
+                    let fallbacks = &mut counters.exact_fallbacks;
+                    if let Some(hit) = exact.decide(self.ray, t_min, t_max, &vertices, fallbacks) {
+                        self.offer(simd, fine, at, hit, vertices);
+                    }
                 }
             } else {
                 let (hits, [t, u, v]) = self.local.triangles.decide(simd, &packet, &self.interval);
                 let mut hits = hits & lanes;
                 if hits != 0 {
-                    let [t, u, v] = [t, u, v].map(|x| simd.to_array(x));
+                    let (t, u, v) = (simd.to_array(t), simd.to_array(u), simd.to_array(v));
                     while hits != 0 {
                         let i = hits.trailing_zeros() as usize;
                         hits &= hits - 1;
                         let at = TriangleLocation { start, count, lane: first + i };
-                        let t = self.query.from_local(t[i]);
-                        self.offer(simd, fine, at, t, f64::from(u[i]), f64::from(v[i]));
+                        let hit = TriangleHit {
+                            t: self.query.from_local(t[i]),
+                            u: f64::from(u[i]),
+                            v: f64::from(v[i]),
+                        };
+                        self.offer(simd, fine, at, hit, fine.exact_vertices(at));
                     }
                 }
             }
@@ -168,29 +195,28 @@ impl<S: Simd> Closest<S> {
         }
     }
 
-    /// The certified decision for one triangle that the reject test let through.
-    #[inline(always)]
-    fn decide(&mut self, simd: S, fine: &Fine<'_>, at: TriangleLocation, counters: &mut TraceCounters) {
-        counters.decisions += 1;
-        let vertices = fine.exact_vertices(at);
-        if let Some(hit) = self.query.exact.intersect(&vertices, &mut counters.exact_fallbacks) {
-            self.offer(simd, fine, at, hit.t, hit.u, hit.v);
-        }
-    }
-
     /// Takes a hit if it is the least so far.
     #[inline(always)]
-    fn offer(&mut self, simd: S, fine: &Fine<'_>, at: TriangleLocation, t: f64, u: f64, v: f64) {
+    fn offer(
+        &mut self,
+        simd: S,
+        fine: &Fine<'_>,
+        at: TriangleLocation,
+        TriangleHit { t, u, v }: TriangleHit,
+        vertices: [[f64; 3]; 3],
+    ) {
         let triangle = fine.id(at);
-        let better = self.best.is_none_or(|best| (t, triangle) < (best.t, best.triangle));
+        let better = match &*self.best {
+            Some(best) => (t, triangle) < (best.t, best.triangle),
+            None => true,
+        };
         if !better || self.after.is_some_and(|after| (t, triangle) <= after) {
             return;
         }
-        self.best =
-            Some(Hit { t, u, v, triangle, material: fine.material(at), vertices: fine.exact_vertices(at) });
+        *self.best = Some(Hit { t, u, v, triangle, material: fine.material(at), vertices });
         // Hits beyond the range of f64 all have t = f64::MAX, and only an infinite end admits them.
         if t < f64::MAX {
-            self.query.exact.t_max = t;
+            self.t_max = t;
         }
         self.high = self.query.local_high(t);
         self.interval.high = simd.splat(self.high);

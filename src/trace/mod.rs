@@ -5,6 +5,7 @@
 
 mod any;
 mod closest;
+mod exact;
 mod hit;
 mod load;
 mod stack;

@@ -5,6 +5,7 @@ use crate::simd::{LANES, Simd};
 
 /// A child that waits.
 #[derive(Clone, Copy, Debug)]
+#[repr(C, align(16))]
 pub(super) struct Entry {
     /// Where the ray enters its box.
     pub near: f32,
@@ -13,28 +14,27 @@ pub(super) struct Entry {
     pub edge: f32,
 }
 
-const UNUSED: Entry = Entry { near: 0.0, child: Child(0), edge: 0.0 };
+/// Room for the children that wait in both levels.
+pub(super) type Entries = [Entry; STACK_MAX];
+
+/// What fills unused room.
+pub(super) const UNUSED: Entry = Entry { near: 0.0, child: Child(0), edge: 0.0 };
 
 /// Children that wait, the next one last. Trees are no deeper than [`STACK_MAX`] allows.
-#[derive(Debug)]
-pub(super) struct Stack {
-    entries: [Entry; STACK_MAX],
+pub(super) struct Stack<'e> {
+    entries: &'e mut Entries,
     len: usize,
 }
 
-impl Stack {
-    pub fn new() -> Stack {
-        Stack { entries: [UNUSED; STACK_MAX], len: 0 }
+impl<'e> Stack<'e> {
+    #[inline(always)]
+    pub fn new(entries: &'e mut Entries) -> Stack<'e> {
+        Stack { entries, len: 0 }
     }
 
     #[inline(always)]
     pub fn len(&self) -> usize {
         self.len
-    }
-
-    #[inline(always)]
-    pub fn truncate(&mut self, len: usize) {
-        self.len = len;
     }
 
     #[inline(always)]

@@ -2,13 +2,14 @@
 
 use super::any::occlusion;
 use super::closest::{Work, closest_hit};
+use super::exact::ExactRay;
 use super::load::{LoadScratch, Pins};
-use super::stack::Stack;
+use super::stack::{Entries, UNUSED};
 use super::{Hit, MaterialSet, Occlusion};
 use crate::budget::Reservation;
 use crate::error::TraceError;
 use crate::geom::Ray;
-use crate::octree::{LazyOctree, Tier, TracerPermit, tracer_bytes};
+use crate::octree::{LazyOctree, LocalRay, QueryRay, Tier, TracerPermit, tracer_bytes};
 use crate::simd::{Operation, Simd, dispatch};
 use crate::stats::TraceCounters;
 use crate::units::TriangleId;
@@ -21,7 +22,8 @@ pub struct Tracer<'o> {
     octree: &'o LazyOctree,
     pins: Pins<'o>,
     scratch: LoadScratch,
-    stack: Box<Stack>,
+    stack: Box<Entries>,
+    exact: ExactRay,
     counters: TraceCounters,
     _reservation: Reservation,
     _permit: TracerPermit<'o>,
@@ -39,7 +41,8 @@ impl LazyOctree {
             octree: self,
             pins: Pins::new(self),
             scratch: LoadScratch::new(&self.model),
-            stack: Box::new(Stack::new()),
+            stack: Box::new([UNUSED; _]),
+            exact: ExactRay::new(),
             counters: TraceCounters::default(),
             _reservation: reservation,
             _permit: permit,
@@ -131,13 +134,10 @@ impl<'o> Tracer<'o> {
             pins: &mut self.pins,
             scratch: &mut self.scratch,
             stack: &mut self.stack,
+            exact: &mut self.exact,
             counters: &mut self.counters,
         }
     }
-}
-
-fn check(ray: &Ray, index: usize) -> Result<(), TraceError> {
-    ray.validate().map_err(|reason| TraceError::InvalidRay { index, reason })
 }
 
 struct ClosestHits<'a, 'o> {
@@ -155,15 +155,16 @@ impl Operation for ClosestHits<'_, '_> {
     fn run<S: Simd>(self, simd: S) -> Self::Output {
         let certified = self.tracer.octree.tier == Tier::Certified;
         let mut work = self.tracer.work();
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         for (index, (ray, hit)) in self.rays.iter().zip(self.hits).enumerate() {
-            check(ray, index)?;
             work.counters.rays += 1;
             let after = self.after.get(index).copied();
-            *hit = if certified {
-                closest_hit::<S, true>(simd, &mut work, ray, after)?
+            let result = if certified {
+                closest_hit::<S, true>(simd, &mut work, (&mut query, &mut local), ray, after, hit)
             } else {
-                closest_hit::<S, false>(simd, &mut work, ray, after)?
+                closest_hit::<S, false>(simd, &mut work, (&mut query, &mut local), ray, after, hit)
             };
+            result.map_err(|error| error.at(index))?;
         }
         Ok(())
     }
@@ -183,14 +184,15 @@ impl Operation for Occlusions<'_, '_> {
     fn run<S: Simd>(self, simd: S) -> Self::Output {
         let certified = self.tracer.octree.tier == Tier::Certified;
         let mut work = self.tracer.work();
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         for (index, (ray, out)) in self.rays.iter().zip(self.out).enumerate() {
-            check(ray, index)?;
             work.counters.rays += 1;
-            *out = if certified {
-                occlusion::<S, true>(simd, &mut work, ray, self.ignore)?
+            let result = if certified {
+                occlusion::<S, true>(simd, &mut work, (&mut query, &mut local), ray, self.ignore)
             } else {
-                occlusion::<S, false>(simd, &mut work, ray, self.ignore)?
+                occlusion::<S, false>(simd, &mut work, (&mut query, &mut local), ray, self.ignore)
             };
+            *out = result.map_err(|error| error.at(index))?;
         }
         Ok(())
     }
