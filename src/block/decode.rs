@@ -4,7 +4,7 @@ use super::check::{BlockCheck, Fault, checksum};
 use super::codec::{self, Codec};
 use super::data::{BlockData, BlockLimits};
 use super::header::{BLOCK_HEADER_BYTES, Header, payload_bytes_max};
-use super::shapes::{self, Parents, Streams};
+use super::shapes::{self, DISTANCES_SLACK, Parents, Streams};
 use super::vertices::Stored;
 use super::{ids, materials};
 use crate::error::BlockError;
@@ -26,7 +26,7 @@ impl DecodeScratch {
         DecodeScratch {
             payload: vec![0; payload_bytes_max(limits)],
             columns: vec![0; 3 * limits.vertex_count_max()],
-            distances: vec![0; 3 * limits.triangle_count_max() + 3],
+            distances: vec![0; 3 * limits.triangle_count_max() + DISTANCES_SLACK],
             parents: vec![Parents::default(); limits.vertex_count_max() + 1],
         }
     }
@@ -36,7 +36,7 @@ impl DecodeScratch {
         let per_vertex = 3 * size_of::<u32>() + size_of::<Parents>();
         let per_triangle = 3 * size_of::<u16>();
         let vertices = per_vertex * limits.vertex_count_max() + size_of::<Parents>();
-        let triangles = per_triangle * limits.triangle_count_max() + 3 * size_of::<u16>();
+        let triangles = per_triangle * limits.triangle_count_max() + DISTANCES_SLACK * size_of::<u16>();
         Bytes((payload_bytes_max(limits) + vertices + triangles) as u64)
     }
 }
@@ -83,7 +83,7 @@ fn decode_parts(
     let DecodeScratch { payload: room, columns, distances, parents } = scratch;
     let enough = room.len() >= header.payload_bytes
         && columns.len() >= 3 * header.vertex_count
-        && distances.len() >= 3 * header.triangle_count + 3
+        && distances.len() >= 3 * header.triangle_count + DISTANCES_SLACK
         && parents.len() > header.vertex_count;
     if !enough {
         return Err(Fault(0, "it is larger than the memory that was set aside"));

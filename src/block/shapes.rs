@@ -42,30 +42,36 @@ impl Parents {
     }
 }
 
-/// What a shape says, in a form that needs no branch: corner = lane + (met - distance), each term under a mask.
+/// What a shape says, in a form that needs no branch: masks and numbers over the lanes of a triangle, so that three
+/// corners are found at once in one 64-bit word.
 #[derive(Clone, Copy)]
 struct Shape {
-    /// Shift to the lane of each corner; lane 3 (zero) if it is not from the triangle before.
-    shift: [u8; 3],
-    /// New vertices and named vertices before each corner, and in the whole triangle.
-    new_before: [u8; 4],
-    named_before: [u8; 4],
-    /// All ones where the corner is new or named.
-    relative: [u32; 3],
-    /// All ones where the corner is named.
-    named: [u32; 3],
+    /// Which lanes take the corner of the triangle before that lies 0, 1 or 2 lanes further on (in a circle of three).
+    turned: [Lanes; 3],
+    /// Which lanes take the distance that lies 0, 1 or 2 lanes before.
+    moved: [Lanes; 3],
+    /// Which lanes count down from the number of vertices met: new and named corners.
+    relative: Lanes,
+    /// New vertices before each corner.
+    new_before: Lanes,
+    /// New vertices in the triangle, in every lane.
+    new: Lanes,
     /// Lane 3 of the [`Parents`] of its first new vertex.
-    opposite: u8,
+    opposite: Lanes,
+    named_count: usize,
 }
 
-const SHAPES: [Shape; SHAPE_COUNT] = {
+const ALL_LANES: Lanes = lanes([1; 3]);
+
+static SHAPES: [Shape; SHAPE_COUNT] = {
     let empty = Shape {
-        shift: [48; 3],
-        new_before: [0; 4],
-        named_before: [0; 4],
-        relative: [0; 3],
-        named: [0; 3],
+        turned: [0; 3],
+        moved: [0; 3],
+        relative: 0,
+        new_before: 0,
+        new: 0,
         opposite: 0,
+        named_count: 0,
     };
     let mut shapes = [empty; SHAPE_COUNT];
     let mut code = 0;
@@ -75,22 +81,25 @@ const SHAPES: [Shape; SHAPE_COUNT] = {
         let mut corner = 0;
         while corner < 3 {
             let source = sources[corner];
-            let (new, named) = (source == NEW, source == NAMED);
-            shape.new_before[corner + 1] = shape.new_before[corner] + new as u8;
-            shape.named_before[corner + 1] = shape.named_before[corner] + named as u8;
-            if new || named {
-                shape.relative[corner] = u32::MAX;
-            } else {
-                shape.shift[corner] = 16 * (source - 1);
-            }
-            if named {
-                shape.named[corner] = u32::MAX;
+            let lane = 0xffff << (16 * corner);
+            shape.new_before |= (shape.new & 0xffff) << (16 * corner);
+            match source {
+                NEW => {
+                    shape.relative |= lane;
+                    shape.new += ALL_LANES;
+                }
+                NAMED => {
+                    shape.relative |= lane;
+                    shape.moved[corner - shape.named_count] |= lane;
+                    shape.named_count += 1;
+                }
+                _ => shape.turned[(source as usize - 1 + 3 - corner) % 3] |= lane,
             }
             // One new vertex across the edge between two other corners of the triangle before: 1 + 2 + 3 = 6.
             let (a, b) = (sources[(corner + 1) % 3], sources[(corner + 2) % 3]);
             let shared = a != b && a != NEW && a != NAMED && b != NEW && b != NAMED;
-            if new && shared {
-                shape.opposite = 6 - a - b;
+            if source == NEW && shared {
+                shape.opposite = (6 - a - b) as Lanes;
             }
             corner += 1;
         }
@@ -158,7 +167,7 @@ impl Connectivity {
             shapes.push(code);
             let opposite = SHAPES[usize::from(code)].opposite;
             if opposite != 0 {
-                parents[met_before as usize] = Parents(lanes(before) | u64::from(opposite) << 48);
+                parents[met_before as usize] = Parents(lanes(before) | opposite << 48);
                 *predicted += 1;
             }
             before = *triangle;
@@ -173,23 +182,33 @@ impl Connectivity {
 
 const NOT_IN_ORDER: EncodeError = EncodeError::Invalid("its vertices are not in first-use order");
 
-/// Turns the bytes of the named corners and the far distances (all low bytes, then all high bytes) into distances.
-/// `distances` has room for three more, which are set to zero.
-fn expand(named: &[u8], far: &[u8], distances: &mut [u16]) -> Result<(), Fault> {
+/// Distances are read four at a time.
+pub(super) const DISTANCES_SLACK: usize = 4;
+
+/// Turns the bytes of the named corners and the far distances (all low bytes, then all high bytes) into distances of
+/// at most `vertex_count`. `distances` has room for [`DISTANCES_SLACK`] more, which are set to zero.
+fn expand(named: &[u8], far: &[u8], vertex_count: u16, distances: &mut [u16]) -> Result<(), Fault> {
     let (places, slack) = distances.split_at_mut(named.len());
-    slack[..3].fill(0);
+    slack[..DISTANCES_SLACK].fill(0);
+    let mut largest = 0;
     for (distance, byte) in places.iter_mut().zip(named) {
-        *distance = u16::from(*byte);
+        *distance = u16::from(*byte) + 1;
+        largest = largest.max(*byte);
     }
-    if far.is_empty() && !named.contains(&(FAR as u8)) {
-        return Ok(());
+    let mut far_count = 0;
+    if u16::from(largest) == FAR {
+        let (low, high) = far.split_at(far.len() / 2);
+        let mut far = low.iter().zip(high).map(|(low, high)| u16::from_le_bytes([*low, *high]));
+        for (at, distance) in places.iter_mut().enumerate().filter(|(_, distance)| **distance == FAR + 1) {
+            let less_one = far.next().ok_or(Fault(at, "a far distance is missing"))?;
+            if less_one >= vertex_count {
+                return Err(Fault(at, "a distance is out of range"));
+            }
+            *distance = less_one + 1;
+            far_count += 1;
+        }
     }
-    let (low, high) = far.split_at(far.len() / 2);
-    let mut far = low.iter().zip(high).map(|(low, high)| u16::from_le_bytes([*low, *high]));
-    for (at, distance) in places.iter_mut().enumerate().filter(|(_, distance)| **distance == FAR) {
-        *distance = far.next().ok_or(Fault(at, "a far distance is missing"))?;
-    }
-    if far.next().is_some() { Err(Fault(named.len(), "a far distance is left over")) } else { Ok(()) }
+    if 2 * far_count == far.len() { Ok(()) } else { Err(Fault(named.len(), "a far distance is left over")) }
 }
 
 /// The input of [`decode`].
@@ -202,7 +221,8 @@ pub(super) struct Streams<'a> {
 /// Fills `triangles` (one for each shape) and `parents` (one for each vertex, and one more). Every index is in range,
 /// and every vertex of a parallelogram lies before the vertex that it predicts.
 ///
-/// `distances` is scratch for `3 * shapes + 3` numbers. Errors carry offsets into the shapes.
+/// `distances` is scratch for `3 * shapes + DISTANCES_SLACK` numbers. There are fewer than 32,000 vertices. Errors carry
+/// offsets into the shapes.
 pub(super) fn decode(
     streams: &Streams<'_>,
     predicted: usize,
@@ -210,40 +230,48 @@ pub(super) fn decode(
     triangles: &mut [[u16; 3]],
     parents: &mut [Parents],
 ) -> Result<(), Fault> {
-    let vertex_count = parents.len() as u32 - 1;
-    expand(streams.named, streams.far, distances)?;
+    // Keeps a distance that is larger than it can be from borrowing from the next lane, and shows it afterwards. Indices
+    // and distances are far below the sign bit.
+    const SIGNS: Lanes = ALL_LANES << 15;
+    let vertex_count = parents.len() - 1;
+    expand(streams.named, streams.far, vertex_count as u16, distances)?;
     parents.fill(Parents::default());
     let mut before: Lanes = 0;
-    let (mut met, mut named, mut hits) = (0u32, 0usize, 0usize);
-    let mut highest = 0u32;
+    let mut met = SIGNS;
+    let (mut named, mut hits) = (0, 0);
+    let mut negative = 0;
     for (triangle, code) in triangles.iter_mut().zip(streams.shapes) {
         let Some(shape) = SHAPES.get(usize::from(*code)) else {
             return Err(Fault(0, "a triangle has an unknown shape"));
         };
         // At most three named corners for each triangle: inside the scratch.
-        let distances = &distances[named..named + 3];
-        let mut corners = [0u32; 3];
-        for (corner, index) in corners.iter_mut().enumerate() {
-            let distance =
-                (u32::from(distances[usize::from(shape.named_before[corner])]) + 1) & shape.named[corner];
-            // A distance beyond the first vertex wraps to a large number and fails the test below.
-            let relative = (met + u32::from(shape.new_before[corner])).wrapping_sub(distance);
-            *index = u32::from((before >> shape.shift[corner]) as u16) + (relative & shape.relative[corner]);
-        }
-        highest = highest.max(corners[0]).max(corners[1]).max(corners[2]);
+        let Some(&[a, b, c, _]) = distances[named..].first_chunk::<DISTANCES_SLACK>() else {
+            return Err(Fault(0, "its triangles do not use what its header counts"));
+        };
+        let distances = lanes([a, b, c]);
+        let distance = (distances & shape.moved[0])
+            | (distances << 16 & shape.moved[1])
+            | (distances << 32 & shape.moved[2]);
+        let relative = met + shape.new_before - distance;
+        negative |= !relative & shape.relative;
+        let kept = (before & shape.turned[0])
+            | ((before >> 16 | before << 32) & shape.turned[1])
+            | ((before >> 32 | before << 16) & shape.turned[2]);
+        let after = kept | (relative & shape.relative & !SIGNS);
+
         // Triangles without a new vertex write too; the next one writes over it.
-        let parent = parents.get_mut(met as usize).ok_or(Fault(0, "it names more vertices than it has"))?;
-        *parent =
-            if shape.opposite == 0 { Parents(0) } else { Parents(before | u64::from(shape.opposite) << 48) };
+        let parent = parents.get_mut((met & 0x7fff) as usize);
+        *parent.ok_or(Fault(0, "it uses more vertices than it has"))? =
+            Parents(before | shape.opposite << 48);
         hits += usize::from(shape.opposite != 0);
-        met += u32::from(shape.new_before[3]);
-        named += usize::from(shape.named_before[3]);
-        *triangle = corners.map(|index| index as u16);
-        before = lanes(*triangle);
+        met += shape.new;
+        named += shape.named_count;
+        *triangle = [after as u16, (after >> 16) as u16, (after >> 32) as u16];
+        before = after;
     }
-    if highest >= vertex_count {
+    if negative & SIGNS != 0 {
         Err(Fault(0, "an index is out of range"))
-    } else if met != vertex_count || named != streams.named.len() || hits != predicted {
+    } else if (met & 0x7fff) as usize != vertex_count || named != streams.named.len() || hits != predicted {
         Err(Fault(0, "its triangles do not use what its header counts"))
     } else {
         Ok(())
