@@ -74,6 +74,9 @@ impl MaterialRecord {
         if self.name.len() > NAME_BYTES_MAX {
             return Err(ModelError::Limit { reason: "the name of a material is longer than 64 KiB" });
         }
+        if self.numbers().iter().any(|number| !number.is_finite()) {
+            return Err(ModelError::Limit { reason: "a number of a material is not finite" });
+        }
         out.extend(self.numbers().iter().flat_map(|number| number.to_le_bytes()));
         out.extend_from_slice(&u32::from(self.mirror).to_le_bytes());
         out.extend_from_slice(&(self.name.len() as u32).to_le_bytes());
@@ -120,7 +123,11 @@ fn parse(bytes: &[u8]) -> Result<(MaterialRecord, &[u8]), &'static str> {
         1 => true,
         _ => return Err("a flag of a material is unknown"),
     };
-    let (name, rest) = rest.split_at_checked(fields.u32() as usize).ok_or(ENDS)?;
+    let name_bytes = fields.u32() as usize;
+    if name_bytes > NAME_BYTES_MAX {
+        return Err("the name of a material is too long");
+    }
+    let (name, rest) = rest.split_at_checked(name_bytes).ok_or(ENDS)?;
     let name = str::from_utf8(name).map_err(|_| "the name of a material is not UTF-8")?;
     let material = MaterialRecord {
         name: name.to_owned(),

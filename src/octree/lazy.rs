@@ -66,7 +66,7 @@ impl LazyOctree {
         let parts = Parts::new(&source, budget, &options)?;
         let block_count = parts.model.blocks.len() as u32;
         let tracers = u64::from(options.tracers_max.max(1));
-        let aside = tracers.saturating_mul(tracer_bytes(&parts.model).0);
+        let aside = tracers.saturating_mul(tracer_bytes(&*source).0);
         let available = budget.available().0.saturating_sub(aside);
         let slots_max = options.slots_max.unwrap_or(u32::MAX).min(block_count);
         // Fewer slots than tracers can leave a tracer without any.
@@ -197,12 +197,12 @@ impl LazyOctree {
 }
 
 /// What one tracer takes from the budget.
-pub(crate) fn tracer_bytes(model: &Model) -> Bytes {
-    let limits = model.limits;
+pub(crate) fn tracer_bytes(source: &dyn BlockSource) -> Bytes {
+    let limits = source.model().limits;
     Bytes(
         DecodeScratch::bytes_for(limits).0
             + BlockData::bytes_for(limits).0
-            + model.stored_bytes_max().0
+            + source.buffer_bytes().0
             + BuildScratch::bytes(limits.triangle_count_max(), limits.vertex_count_max())
             // Stacks, pins and the struct itself.
             + (16 << 10),

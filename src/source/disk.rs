@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::{BlockSource, OpenError, block_name, place_of};
 use crate::error::SourceError;
 use crate::model::{Model, ModelReader};
-use crate::units::BlockId;
+use crate::units::{BlockId, Bytes};
 
 /// Whether block reads may leave copies in the page cache of the operating system.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -17,13 +17,23 @@ pub enum PageCache {
     #[default]
     Use,
     /// They do not, so that a run under a hard memory cap or a measurement of out-of-core speed does not rely on it (I1).
+    ///
+    /// On Linux blocks are read with `O_DIRECT`; where the file system does not take it, they are read as usual and the
+    /// kernel is asked to forget them (`POSIX_FADV_DONTNEED`), which it does for pages that nobody else uses. On other
+    /// systems this is the same as [`PageCache::Use`].
     Bypass,
 }
 
 /// Reads blocks from a file with positioned reads: no seek, no lock, any number of threads at once.
+///
+/// The file may change while it is open: bytes that are not those that were compiled fail the decoder's checks, and a
+/// file that became shorter gives [`SourceError::Truncated`].
 #[derive(Debug)]
 pub struct DiskSource {
     file: File,
+    /// The same file, opened to go past the page cache.
+    direct: Option<File>,
+    page_cache: PageCache,
     name: String,
     model: Arc<Model>,
 }
@@ -42,7 +52,6 @@ impl DiskSource {
     /// # Errors
     /// [`SourceError`] if the file cannot be read or is not a sound compiled file.
     pub fn open_with(path: impl AsRef<Path>, page_cache: PageCache) -> Result<DiskSource, SourceError> {
-        let _ = page_cache;
         let path = path.as_ref();
         let name = path.display().to_string();
         let failed = |error| SourceError::Io { what: "the header".to_owned(), name: name.clone(), error };
@@ -52,8 +61,32 @@ impl DiskSource {
             read_exact_at(&file, offset, into)
                 .map_err(|error| OpenError::Source(read_error(error, what.to_owned(), &name, &file)))
         });
-        let model = model.map_err(|error| error.of(&name))?;
-        Ok(DiskSource { file, name, model: Arc::new(model) })
+        let model = Arc::new(model.map_err(|error| error.of(&name))?);
+        let direct = match page_cache {
+            PageCache::Use => None,
+            PageCache::Bypass => {
+                forget(&file, 0, 0);
+                direct::open(path)
+            }
+        };
+        Ok(DiskSource { file, direct, page_cache, name, model })
+    }
+
+    fn read(&self, offset: u64, length: usize, into: &mut Vec<u8>) -> io::Result<()> {
+        if let Some(direct) = &self.direct {
+            match direct::read(direct, offset, length, into) {
+                // The device wants a larger alignment than any known one has.
+                Err(error) if error.kind() == io::ErrorKind::InvalidInput => {}
+                result => return result,
+            }
+        }
+        into.clear();
+        into.resize(length, 0);
+        read_exact_at(&self.file, offset, into)?;
+        if self.page_cache == PageCache::Bypass {
+            forget(&self.file, offset, length as u64);
+        }
+        Ok(())
     }
 }
 
@@ -62,11 +95,15 @@ impl BlockSource for DiskSource {
         &self.model
     }
 
+    fn buffer_bytes(&self) -> Bytes {
+        let stored = self.model.stored_bytes_max();
+        if self.direct.is_some() { Bytes(stored.0 + direct::SLACK_BYTES) } else { stored }
+    }
+
     fn read_block(&self, block: BlockId, into: &mut Vec<u8>) -> Result<(), SourceError> {
         into.clear();
         let (offset, length) = place_of(&self.model, block, &self.name)?;
-        into.resize(length, 0);
-        read_exact_at(&self.file, offset, into)
+        self.read(offset, length, into)
             .map_err(|error| read_error(error, block_name(block), &self.name, &self.file))
     }
 }
@@ -102,4 +139,80 @@ fn read_exact_at(file: &File, mut offset: u64, mut into: &mut [u8]) -> io::Resul
         }
     }
     Ok(())
+}
+
+/// Asks the kernel to drop a range of the file from the page cache; a length of 0 means up to the end. Only advice, so
+/// a refusal is no error.
+#[cfg(target_os = "linux")]
+fn forget(file: &File, offset: u64, length: u64) {
+    let length = std::num::NonZeroU64::new(length);
+    let _ = rustix::fs::fadvise(file, offset, length, rustix::fs::Advice::DontNeed);
+}
+
+#[cfg(not(target_os = "linux"))]
+fn forget(_file: &File, _offset: u64, _length: u64) {}
+
+/// Reads that go past the page cache: offset, length and memory must be multiples of the device's block.
+#[cfg(target_os = "linux")]
+mod direct {
+    use std::fs::{File, OpenOptions};
+    use std::io;
+    use std::os::unix::fs::{FileExt, OpenOptionsExt};
+    use std::path::Path;
+
+    /// Covers every device with logical blocks of 512 or 4,096 bytes, which are all that are sold.
+    const ALIGNMENT: usize = 4096;
+
+    /// What a read needs beyond the block: up to a device block before and after it, and room to align.
+    pub const SLACK_BYTES: u64 = 3 * ALIGNMENT as u64;
+
+    /// `None` if the file system does not take direct reads.
+    pub fn open(path: &Path) -> Option<File> {
+        OpenOptions::new().read(true).custom_flags(libc::O_DIRECT).open(path).ok()
+    }
+
+    /// Fills `into` with `length` bytes from `offset`. Reads into an aligned part of its memory and moves the bytes to the
+    /// front, so that nothing but `into` is needed.
+    pub fn read(file: &File, offset: u64, length: usize, into: &mut Vec<u8>) -> io::Result<()> {
+        let lead = (offset % ALIGNMENT as u64) as usize;
+        let start = offset - lead as u64;
+        let needed = lead + length;
+        let span = needed.next_multiple_of(ALIGNMENT);
+        into.resize(span + ALIGNMENT, 0);
+        let shift = into.as_ptr().align_offset(ALIGNMENT).min(ALIGNMENT);
+        let window = &mut into[shift..shift + span];
+        let mut filled = 0;
+        while filled < needed {
+            match file.read_at(&mut window[filled..], start + filled as u64) {
+                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+                Ok(count) => filled += count,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(error),
+            }
+            // Only the end of the file stops a direct read between two device blocks.
+            if filled < needed && filled % ALIGNMENT != 0 {
+                return Err(io::ErrorKind::UnexpectedEof.into());
+            }
+        }
+        into.copy_within(shift + lead..shift + needed, 0);
+        into.truncate(length);
+        Ok(())
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+mod direct {
+    use std::fs::File;
+    use std::io;
+    use std::path::Path;
+
+    pub const SLACK_BYTES: u64 = 0;
+
+    pub fn open(_path: &Path) -> Option<File> {
+        None
+    }
+
+    pub fn read(_file: &File, _offset: u64, _length: usize, _into: &mut Vec<u8>) -> io::Result<()> {
+        Err(io::ErrorKind::InvalidInput.into())
+    }
 }

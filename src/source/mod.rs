@@ -4,14 +4,16 @@ use std::sync::Arc;
 
 use crate::error::SourceError;
 use crate::model::Model;
-use crate::units::BlockId;
+use crate::units::{BlockId, Bytes};
 
 mod disk;
 mod memory;
+mod mmap;
 pub mod testing;
 
 pub use disk::{DiskSource, PageCache};
 pub use memory::MemorySource;
+pub use mmap::MmapSource;
 
 /// Serves the stored bytes of a compiled model's blocks. Shared by all threads; never holds a lock while it reads.
 ///
@@ -20,8 +22,14 @@ pub trait BlockSource: Send + Sync {
     /// Header, directory and materials, read and checked when the source was opened.
     fn model(&self) -> &Arc<Model>;
 
-    /// Reads the stored bytes of `block` into `into` (cleared first; its capacity is reused, so a buffer with
-    /// capacity for the largest stored block is never reallocated).
+    /// Capacity with which a buffer is never reallocated by [`BlockSource::read_block`]: the largest stored block, and
+    /// what the source needs beside it.
+    fn buffer_bytes(&self) -> Bytes {
+        self.model().stored_bytes_max()
+    }
+
+    /// Reads the stored bytes of `block` into `into` (cleared first; its capacity is reused, see
+    /// [`BlockSource::buffer_bytes`]).
     ///
     /// # Errors
     /// [`SourceError`]; `into` then holds nothing useful.

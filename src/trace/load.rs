@@ -3,8 +3,8 @@
 use crate::block::{BlockData, DecodeScratch};
 use crate::cache::Pin;
 use crate::error::LoadError;
-use crate::model::Model;
 use crate::octree::{BuildScratch, LazyOctree, build};
+use crate::source::BlockSource;
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
 
@@ -20,10 +20,10 @@ pub(super) struct LoadScratch {
 }
 
 impl LoadScratch {
-    pub fn new(model: &Model) -> LoadScratch {
-        let limits = model.limits;
+    pub fn new(source: &dyn BlockSource) -> LoadScratch {
+        let limits = source.model().limits;
         LoadScratch {
-            stored: Vec::with_capacity(model.stored_bytes_max().as_usize()),
+            stored: Vec::with_capacity(source.buffer_bytes().as_usize()),
             decode: DecodeScratch::with_limits(limits),
             data: BlockData::with_limits(limits),
             build: BuildScratch::new(limits.triangle_count_max(), limits.vertex_count_max()),

@@ -36,11 +36,11 @@ impl LazyOctree {
     /// [`TraceError::Budget`] if the budget has no room for its scratch, or `tracers_max` tracers live already.
     pub fn tracer(&self) -> Result<Tracer<'_>, TraceError> {
         let permit = self.permit()?;
-        let reservation = self.budget.reserve(tracer_bytes(&self.model), "a tracer's scratch")?;
+        let reservation = self.budget.reserve(tracer_bytes(&*self.source), "a tracer's scratch")?;
         Ok(Tracer {
             octree: self,
             pins: Pins::new(self),
-            scratch: LoadScratch::new(&self.model),
+            scratch: LoadScratch::new(&*self.source),
             stack: Box::new([UNUSED; _]),
             exact: ExactRay::new(),
             counters: TraceCounters::default(),

@@ -1,0 +1,140 @@
+//! Encode and decode of full blocks, per codec and precision, on the blocks that a compile of the gears makes; and the
+//! cost of the parts that every block pays. Every answer is checked before it is timed.
+//!
+//! The first lines give the size: `bytes per triangle` is that of the stored blocks, without directory and materials.
+
+use std::hint::black_box;
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use outcrop::block::{
+    BlockCheck, BlockData, BlockInput, BlockLimits, Codec, DecodeScratch, EncodeScratch, VertexInput,
+    checksum, decode, encode,
+};
+use outcrop::compile::{CompileOptions, Compiler, Control, PrecisionChoice};
+use outcrop::geom::Precision;
+use outcrop::procedural::{Gears, Shape};
+use outcrop::source::DiskSource;
+use outcrop::units::{BlockId, Bytes};
+use outcrop::{BlockSource, MemoryBudget};
+
+/// Blocks that are timed; enough to leave the first-level cache.
+const BLOCKS: usize = 24;
+
+/// About the resolution of f32 on the gears.
+const EXPONENT: i32 = -22;
+
+/// The first blocks of the compiled gears (n = 2, 219,744 triangles), decoded.
+fn blocks(precision: PrecisionChoice) -> (Precision, BlockLimits, Vec<BlockData>) {
+    let folder = tempfile::tempdir().expect("a folder for the compiled file");
+    let path = folder.path().join("gears.outcrop");
+    let budget = MemoryBudget::new(Bytes::mib(256));
+    let options = CompileOptions { precision, codec: Codec::Raw, ..CompileOptions::default() };
+    let mut progress = |_| Control::Continue;
+    let mut compiler = Compiler::new(&path, options, &budget, &mut progress).expect("fits");
+    Gears::new(2).and_then(|gears| gears.emit(&mut compiler)).expect("a valid model");
+    compiler.finish().expect("room for the compiled file");
+
+    let source = DiskSource::open(&path).expect("was just written");
+    let model = source.model();
+    let mut scratch = DecodeScratch::with_limits(model.limits);
+    let mut bytes = Vec::new();
+    let decoded = (0..BLOCKS as u32).map(BlockId).map(|block| {
+        let mut data = BlockData::with_limits(model.limits);
+        source.read_block(block, &mut bytes).expect("is there");
+        model.decode_block(block, &bytes, &mut scratch, &mut data).expect("is sound");
+        data
+    });
+    (model.precision, model.limits, decoded.collect())
+}
+
+fn lattice_vertices(data: &BlockData, precision: Precision) -> Vec<[i64; 3]> {
+    let Precision::Lattice(lattice) = precision else { return Vec::new() };
+    let quantize = |x| lattice.quantize(x).expect("is on the lattice");
+    (0..data.vertices.len()).map(|vertex| data.position(vertex).map(quantize)).collect()
+}
+
+fn codecs(criterion: &mut Criterion) {
+    for choice in [PrecisionChoice::Float32, PrecisionChoice::Lattice { exponent: EXPONENT }] {
+        let (precision, limits, blocks) = blocks(choice);
+        let name = if precision == Precision::Float32 { "float32" } else { "lattice" };
+        let lattices: Vec<_> = blocks.iter().map(|data| lattice_vertices(data, precision)).collect();
+        let inputs: Vec<BlockInput<'_>> = blocks
+            .iter()
+            .zip(&lattices)
+            .map(|(data, lattice)| BlockInput {
+                vertices: match precision {
+                    Precision::Float32 => VertexInput::Float32(&data.vertices),
+                    Precision::Lattice(_) => VertexInput::Lattice(lattice),
+                },
+                triangles: &data.triangles,
+                ids: &data.ids,
+                materials: &data.materials,
+            })
+            .collect();
+        let triangles: usize = blocks.iter().map(|data| data.triangles.len()).sum();
+        let plain: usize = blocks
+            .iter()
+            .map(|data| BlockLimits::decoded_bytes(data.vertices.len(), data.triangles.len(), false))
+            .sum();
+        for codec in Codec::ALL.into_iter().filter(|codec| codec.is_available()) {
+            let (mut encoder, mut decoder) =
+                (EncodeScratch::with_limits(limits), DecodeScratch::with_limits(limits));
+            let mut data = BlockData::with_limits(limits);
+            let mut stored = Vec::new();
+            for (index, (input, block)) in inputs.iter().zip(&blocks).enumerate() {
+                let mut bytes = Vec::new();
+                encode(input, precision, limits, codec, &mut encoder, &mut bytes).expect("a valid block");
+                let check = BlockCheck {
+                    block: BlockId(index as u32),
+                    checksum: checksum(&bytes),
+                    triangle_count: block.triangles.len() as u32,
+                    vertex_count: block.vertices.len() as u32,
+                    material_range: [0, u16::MAX],
+                };
+                decode(&bytes, &check, precision, limits, &mut decoder, &mut data).expect("is sound");
+                assert!(data == *block, "{} does not give back block {index}", codec.name());
+                stored.push((bytes, check));
+            }
+            let bytes: usize = stored.iter().map(|(bytes, _)| bytes.len()).sum();
+            println!(
+                "{name} {}: {:.3} bytes per triangle, {:.2} of {plain} plain bytes",
+                codec.name(),
+                bytes as f64 / triangles as f64,
+                bytes as f64 / plain as f64,
+            );
+            let mut group = criterion.benchmark_group(format!("block/{name}"));
+            group.sample_size(if codec == Codec::Lzo { 10 } else { 40 });
+            group.throughput(Throughput::Elements(triangles as u64));
+            group.bench_function(BenchmarkId::new("encode", codec.name()), |bencher| {
+                let mut out = Vec::new();
+                bencher.iter(|| {
+                    for input in &inputs {
+                        encode(black_box(input), precision, limits, codec, &mut encoder, &mut out)
+                            .expect("a valid block");
+                    }
+                });
+            });
+            // Per 64 KiB of plain bytes: time divided by `plain / 65,536`.
+            group.throughput(Throughput::Bytes(plain as u64));
+            group.bench_function(BenchmarkId::new("decode", codec.name()), |bencher| {
+                bencher.iter(|| {
+                    for (bytes, check) in &stored {
+                        decode(black_box(bytes), check, precision, limits, &mut decoder, &mut data)
+                            .expect("is sound");
+                    }
+                });
+            });
+            if codec == Codec::Lz4 {
+                group.throughput(Throughput::Bytes(bytes as u64));
+                group.bench_function("checksum", |bencher| {
+                    bencher
+                        .iter(|| stored.iter().fold(0, |sums, (bytes, _)| sums ^ checksum(black_box(bytes))));
+                });
+            }
+            group.finish();
+        }
+    }
+}
+
+criterion_group!(benches, codecs);
+criterion_main!(benches);
