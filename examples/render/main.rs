@@ -19,7 +19,7 @@ use outcrop::model::Model;
 use outcrop::octree::{LazyOctree, OctreeOptions};
 use outcrop::render::{Control, Outcome, RenderSettings, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, Light, Scene};
-use outcrop::source::{DiskSource, MemorySource, PageCache};
+use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
 use outcrop::{BlockSource, MemoryBudget};
 use summary::Summary;
 
@@ -77,6 +77,9 @@ fn open(options: &Options, path: &std::path::Path) -> Result<Arc<dyn BlockSource
     Ok(match options.source {
         SourceKind::Disk => Arc::new(DiskSource::open_with(path, PageCache::Bypass)?),
         SourceKind::Cached => Arc::new(DiskSource::open_with(path, PageCache::Use)?),
+        // SAFETY: the file was published whole under its name by a rename and this program does not write to it; a user
+        // who truncates it during the render asks for the signal that the documentation of `open` promises.
+        SourceKind::Mmap => Arc::new(unsafe { MmapSource::open(path) }?),
         SourceKind::Memory => {
             let bytes =
                 std::fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;

@@ -35,7 +35,7 @@ picture
 resources
     --memory BYTES          budget of everything together, as in 64MiB (256MiB)
     --threads N             all of the machine's if not given
-    --source KIND           disk (reads that leave no page cache), cached or memory (disk)
+    --source KIND           disk (reads that leave no page cache), cached, mmap or memory (disk)
     --slots N               at most N cache slots
     --leaves KIND           expanded or indexed; by the budget if not given
     --simd KIND             avx2 or portable; the best here if not given
@@ -61,6 +61,7 @@ pub enum Command {
 pub enum SourceKind {
     Disk,
     Cached,
+    Mmap,
     Memory,
 }
 
@@ -132,6 +133,7 @@ impl Options {
                     let kinds = [
                         ("disk", SourceKind::Disk),
                         ("cached", SourceKind::Cached),
+                        ("mmap", SourceKind::Mmap),
                         ("memory", SourceKind::Memory),
                     ];
                     options.source = arguments.choice(&kinds)?;
