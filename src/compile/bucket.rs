@@ -44,7 +44,7 @@ impl<P: Point> Bucket<P> {
     }
 
     /// Reads chunks, in their order.
-    pub(super) fn load(&mut self, spill: &Spill, chunks: &[ChunkRecord]) -> Result<(), CompileError> {
+    pub(super) fn load(&mut self, spills: &[Spill], chunks: &[ChunkRecord]) -> Result<(), CompileError> {
         self.vertices.clear();
         self.triangles.clear();
         self.ids.clear();
@@ -54,6 +54,7 @@ impl<P: Point> Bucket<P> {
         self.table.resize((2 * vertices).next_power_of_two(), 0);
         for record in chunks {
             self.bytes.resize(record.bytes as usize, 0);
+            let spill = &spills[record.spill as usize];
             spill.read(record.offset, &mut self.bytes)?;
             if !self.chunk.read(&self.bytes) {
                 return Err(spill.damaged());

@@ -30,6 +30,8 @@ pub(super) struct ChunkRecord {
     pub(super) offset: u64,
     pub(super) bytes: u32,
     pub(super) bucket: u32,
+    /// Which spill it is in.
+    pub(super) spill: u32,
     pub(super) triangles: u16,
     pub(super) vertices: u16,
 }

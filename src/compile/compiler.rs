@@ -6,8 +6,10 @@ use std::sync::Arc;
 use super::blocks::{BlockMaker, BlockSettings};
 use super::bucket::Bucket;
 use super::clock::{Meter, Moment};
+use super::crew::{Crew, Placer, batch_bytes};
 use super::faces::Faces;
-use super::grid::{GRID_BYTES, Grid};
+use super::grid::{BucketMap, GRID_BYTES, Grid};
+use super::lookup::{AsFloat32, AsLattice, Form};
 use super::options::{
     CompileOptions, CompileReport, Control, Phase, PhaseSeconds, PrecisionChoice, Progress, Threads,
 };
@@ -19,7 +21,7 @@ use super::refine::{refine, triangle_count};
 use super::scatter::{Scatter, Scattered};
 use super::spill::SpillPlace;
 use super::temporary::DiskQuota;
-use super::vertices::{Keep, Narrow, OnLattice, VertexStore};
+use super::vertices::{Keep, VertexStore};
 use crate::block::BlockLimits;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::CompileError;
@@ -55,6 +57,8 @@ pub struct Compiler<'p> {
     source: SourceRecord,
     materials: Vec<MaterialRecord>,
     store: VertexStore,
+    /// The store while several threads read it; `store` is empty then.
+    shared: Option<Arc<VertexStore>>,
     grid: Option<Grid>,
     stage: Stage,
     /// What is kept of f64 vertices.
@@ -79,8 +83,8 @@ pub struct Compiler<'p> {
 enum Stage {
     /// They wait: the grid or the precision is not known yet.
     Waiting(Faces),
-    Narrow(Scatter<[f32; 3]>),
-    Lattice(Scatter<[i64; 3]>, Lattice),
+    Narrow(Placer<[f32; 3]>),
+    Lattice(Placer<[i64; 3]>, AsLattice),
     /// All were scattered.
     Done,
 }
@@ -131,10 +135,12 @@ impl<'p> Compiler<'p> {
         };
         let grid_memory = budget.reserve(Bytes(GRID_BYTES), "the grid of vertex counts")?;
         let headroom = headroom(budget);
-        let faces = Faces::new(place.clone(), headroom + budget.limit().0 / 4)?;
+        // Faces are read once and in order, vertices again and again: memory is better spent on those.
+        let faces = Faces::new(place.clone(), budget.limit().0 - budget.limit().0 / 8)?;
         Ok(Compiler {
             output: output.to_path_buf(),
             store: VertexStore::new(place.clone(), headroom),
+            shared: None,
             stage: Stage::Waiting(faces),
             budget: budget.clone(),
             place,
@@ -233,13 +239,8 @@ impl<'p> Compiler<'p> {
                 }
                 faces.push(triangles, material)
             }
-            Stage::Narrow(scatter) => {
-                scatter.add(triangles, material, first_id, &mut Narrow(&mut self.store))
-            }
-            Stage::Lattice(scatter, lattice) => {
-                let mut lookup = OnLattice::new(&mut self.store, *lattice);
-                scatter.add(triangles, material, first_id, &mut lookup)
-            }
+            Stage::Narrow(placer) => placer.add(triangles, material, first_id, &mut self.store, &AsFloat32),
+            Stage::Lattice(placer, form) => placer.add(triangles, material, first_id, &mut self.store, form),
             Stage::Done => Ok(()),
         }
     }
@@ -265,19 +266,15 @@ impl<'p> Compiler<'p> {
             0 => BUCKET_VERTICES,
             known => (BUCKET_TRIANGLES as f64 * vertices as f64 / known as f64).ceil() as u64,
         };
-        let map = grid.into_buckets(vertices_max);
-        let share = self.budget.limit().0 / 12;
-        // What the cut needs later, beyond the memory of the vertices, which is free by then.
-        let threads = self.pool.as_ref().map_or(1, |pool| pool.current_num_threads()) as u64;
-        let needed_later = (WORKER_BYTES * threads).min(self.budget.limit().0 / 3);
-        let spill_headroom = (1 << 20) + needed_later.saturating_sub(self.store.memory_bytes() + GRID_BYTES);
-        let place = self.place.clone();
-        let skip = self.options.skip_not_finite;
+        let map = Arc::new(grid.into_buckets(vertices_max));
+        if precision == Precision::Float32 {
+            self.spill_bytes += self.store.forget_exact();
+        }
         let stage = match precision {
-            Precision::Float32 => Stage::Narrow(Scatter::new(map, 1.0, place, share, spill_headroom, skip)?),
+            Precision::Float32 => Stage::Narrow(self.placer(map, 1.0, AsFloat32)?),
             Precision::Lattice(lattice) => {
-                let scatter = Scatter::new(map, lattice.step(), place, share, spill_headroom, skip)?;
-                Stage::Lattice(scatter, lattice)
+                let form = AsLattice::new(lattice);
+                Stage::Lattice(self.placer(map, lattice.step(), form)?, form)
             }
         };
         let Stage::Waiting(mut faces) = std::mem::replace(&mut self.stage, stage) else { return Ok(()) };
@@ -294,6 +291,45 @@ impl<'p> Compiler<'p> {
         })?;
         self.spill_bytes += faces.spill_bytes();
         Ok(())
+    }
+
+    /// One scatter, or one for each thread if the vertices are all in memory.
+    fn placer<F: Form>(
+        &mut self,
+        map: Arc<BucketMap>,
+        unit: f64,
+        form: F,
+    ) -> Result<Placer<F::Point>, CompileError> {
+        // What the cut needs later, beyond the memory of the vertices, which is free by then.
+        let threads = self.pool.as_ref().map_or(1, |pool| pool.current_num_threads());
+        let needed_later = (WORKER_BYTES * threads as u64).min(self.budget.limit().0 / 3);
+        let headroom = (1 << 20) + needed_later.saturating_sub(self.store.memory_bytes() + GRID_BYTES);
+        let share = self.budget.limit().0 / 12;
+        let skip = self.options.skip_not_finite;
+        let make = |place: &SpillPlace, share: u64| {
+            Scatter::new(Arc::clone(&map), unit, place.clone(), share, headroom, skip)
+        };
+        if let Some(pool) = self.pool.clone()
+            && self.store.is_resident()
+            && let Ok(memory) = self.budget.reserve(Bytes(batch_bytes(threads)), "batches of triangles")
+        {
+            let count = threads as u64;
+            let scatters: Result<Vec<_>, _> = (0..count).map(|_| make(&self.place, share / count)).collect();
+            // Without the memory for several there may still be enough for one.
+            if let Ok(scatters) = scatters {
+                let empty = VertexStore::new(self.place.clone(), 0);
+                let store = Arc::new(std::mem::replace(&mut self.store, empty));
+                let crew = Crew::start(&pool, scatters, memory, &store, form);
+                self.shared = Some(store);
+                return Ok(Placer::Crew(crew));
+            }
+        }
+        Ok(Placer::Own(make(&self.place, share)?))
+    }
+
+    /// The vertices, whoever reads them.
+    fn vertices_read(&self) -> &VertexStore {
+        self.shared.as_deref().unwrap_or(&self.store)
     }
 
     /// Cuts, encodes and writes everything, seals the file and gives it its name. A file of that name is replaced in one step.
@@ -324,14 +360,13 @@ impl<'p> Compiler<'p> {
         };
         self.begin_scatter(decision.precision)?;
         match std::mem::replace(&mut self.stage, Stage::Done) {
-            Stage::Narrow(scatter) => {
-                let scattered = scatter.finish(&mut Narrow(&mut self.store))?;
-                self.finish_blocks(scattered, decision)
+            Stage::Narrow(placer) => {
+                let (scattered, crew_time) = placer.finish(&mut self.store, &AsFloat32)?;
+                self.finish_blocks(scattered, crew_time, decision)
             }
-            Stage::Lattice(scatter, lattice) => {
-                let mut lookup = OnLattice::new(&mut self.store, lattice);
-                let scattered = scatter.finish(&mut lookup)?;
-                self.finish_blocks(scattered, decision)
+            Stage::Lattice(placer, form) => {
+                let (scattered, crew_time) = placer.finish(&mut self.store, &form)?;
+                self.finish_blocks(scattered, crew_time, decision)
             }
             Stage::Waiting(_) | Stage::Done => Err(CompileError::Empty),
         }
@@ -340,15 +375,17 @@ impl<'p> Compiler<'p> {
     fn finish_blocks<P: Point>(
         mut self,
         mut scattered: Scattered<P>,
+        crew_time: Meter,
         decision: Decision,
     ) -> Result<CompileReport, CompileError> {
-        let mut spill_bytes = self.spill_bytes + self.store.spill_bytes();
+        let mut spill_bytes = self.spill_bytes + self.vertices_read().spill_bytes();
         let error_bound = match decision.precision {
-            Precision::Float32 => self.store.move_max(),
+            Precision::Float32 => self.vertices_read().move_max(),
             Precision::Lattice(lattice) => lattice.error_bound(),
         };
         // The vertices are all in chunks now: their memory goes to the cut.
         self.store = VertexStore::new(self.place.clone(), 0);
+        self.shared = None;
         self.grid_memory = None;
 
         let limits = BlockLimits { block_bytes_max: self.options.block_bytes };
@@ -398,7 +435,7 @@ impl<'p> Compiler<'p> {
         if triangles == 0 {
             return Err(CompileError::Empty);
         }
-        spill_bytes += scattered.spill.file_bytes();
+        spill_bytes += scattered.spill_bytes();
         let skipped = scattered.skipped;
         drop(scattered);
         self.ask(Phase::Seal, None)?;
@@ -406,9 +443,11 @@ impl<'p> Compiler<'p> {
         write.add_since(start);
         let mut total = Meter::default();
         total.add_since(self.start);
+        let mut scatter = self.scatter;
+        scatter.merge(&crew_time);
         let mut seconds = PhaseSeconds {
             parse: self.parse.seconds(),
-            scatter: self.scatter.seconds(),
+            scatter: scatter.seconds(),
             cut: cut_time.cut.seconds(),
             encode: cut_time.encode.seconds(),
             write: write.seconds(),
@@ -416,7 +455,7 @@ impl<'p> Compiler<'p> {
         };
         if pool.is_some() {
             // The workers' time is not in the calling thread's.
-            seconds.total.cpu += seconds.cut.cpu + seconds.encode.cpu;
+            seconds.total.cpu += crew_time.seconds().cpu + seconds.cut.cpu + seconds.encode.cpu;
         }
         Ok(CompileReport {
             triangles,
@@ -479,14 +518,17 @@ impl MeshSink for Compiler<'_> {
     }
 
     fn position(&mut self, vertex: u64) -> Result<[f64; 3], CompileError> {
-        match u32::try_from(vertex) {
-            Ok(vertex) if (vertex as usize) < self.store.len() => self.store.position(vertex),
+        match (u32::try_from(vertex), &self.shared) {
+            (Ok(vertex), Some(store)) if (vertex as usize) < store.len() => {
+                Ok(store.position_resident(vertex))
+            }
+            (Ok(vertex), None) if (vertex as usize) < self.store.len() => self.store.position(vertex),
             _ => Err(unknown_vertex(vertex)),
         }
     }
 
     fn triangles(&mut self, triangles: &[[u32; 3]], material: MaterialId) -> Result<(), CompileError> {
-        let count = self.store.len();
+        let count = self.vertices_read().len();
         let highest = triangles.iter().fold(0, |highest, [a, b, c]| highest.max(*a).max(*b).max(*c));
         if !triangles.is_empty() && highest as usize >= count {
             return Err(unknown_vertex(u64::from(highest)));

@@ -54,6 +54,11 @@ impl<T: Pod> Pages<T> {
         self.len
     }
 
+    /// Whether every item is in memory, so that reading needs no exclusive access.
+    pub(super) fn is_resident(&self) -> bool {
+        self.spill.is_none()
+    }
+
     /// What the frames hold of the budget.
     pub(super) fn memory_bytes(&self) -> u64 {
         (self.frames.len() * PAGE_ITEMS * size_of::<T>()) as u64
@@ -96,6 +101,13 @@ impl<T: Pod> Pages<T> {
             frame = self.fetch(page)?;
         }
         Ok(self.frames[frame as usize][index as usize % PAGE_ITEMS])
+    }
+
+    /// The item at `index` of an array that is resident.
+    #[inline]
+    pub(super) fn get_resident(&self, index: u32) -> T {
+        let frame = self.frame_of[(index >> PAGE_SHIFT) as usize];
+        self.frames[frame as usize][index as usize % PAGE_ITEMS]
     }
 
     /// Makes a frame for the page after the last, which is full (or there is none).

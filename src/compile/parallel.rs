@@ -37,7 +37,7 @@ impl<P: Point> Worker<P> {
         out: &mut EncodedBucket,
     ) -> Result<(), CompileError> {
         let start = Moment::now();
-        self.bucket.load(&scattered.spill, &scattered.chunks[scattered.buckets[index].clone()])?;
+        self.bucket.load(&scattered.spills, &scattered.chunks[scattered.buckets[index].clone()])?;
         self.maker.cut(&self.bucket);
         let start = self.time.cut.add_since(start);
         self.maker.encode(&self.bucket, out)?;

@@ -34,20 +34,16 @@ pub(super) fn refine<P: Point>(
             continue;
         }
         go_on()?;
-        match Grid::over(scattered, bucket, range.clone())? {
-            Some(grid) => {
-                let parts = part(scattered, bucket, range, &grid)?;
-                open.extend(parts.into_iter().rev());
-            }
-            None => done.extend(by_order(&scattered.chunks, range)),
-        }
+        let grid = Grid::over(scattered, bucket, range.clone())?;
+        let parts = part(scattered, bucket, range, &grid)?;
+        open.extend(parts.into_iter().rev());
     }
     scattered.buckets = done;
     Ok(())
 }
 
-/// Parts of triangles that cannot be told apart by place.
-fn by_order(chunks: &[ChunkRecord], range: Range<usize>) -> Vec<Range<usize>> {
+/// Ranges of chunks with at most [`PART_TRIANGLES`] each (or one chunk), to be read one after the other.
+fn segments(chunks: &[ChunkRecord], range: Range<usize>) -> Vec<Range<usize>> {
     let mut parts = Vec::new();
     let (mut start, mut count) = (range.start, 0);
     for index in range.clone() {
@@ -62,38 +58,49 @@ fn by_order(chunks: &[ChunkRecord], range: Range<usize>) -> Vec<Range<usize>> {
     parts
 }
 
-/// Cells over the centroids of a bucket, and the part that each belongs to.
+/// Cells over a bucket, and the part that each belongs to. Everything in it depends on the set of triangles alone.
 struct Grid {
-    min: [f64; 3],
-    scale: [f64; 3],
+    kind: Kind,
     part_of: Vec<u32>,
 }
 
+/// What the cells are cells of.
+enum Kind {
+    /// Centroids; in Morton order, so that neighbouring cells come into one part.
+    Place { min: [f64; 3], scale: [f64; 3] },
+    /// Ids, where all centroids coincide.
+    Ids { min: u64, scale: f64 },
+}
+
 impl Grid {
-    /// Two passes over the bucket; `None` if all centroids coincide.
+    /// Two passes over the bucket, which must have at least two triangles. There are at least two parts if there are
+    /// more than [`PART_TRIANGLES`] triangles: the ends of the range lie in different cells.
     fn over<P: Point>(
         scattered: &Scattered<P>,
         bucket: &mut Bucket<P>,
         range: Range<usize>,
-    ) -> Result<Option<Grid>, CompileError> {
+    ) -> Result<Grid, CompileError> {
         let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-        for_each_sum(scattered, bucket, range.clone(), |sum| {
+        let (mut id_min, mut id_max) = (u64::MAX, 0);
+        for_each(scattered, bucket, range.clone(), |sum, id| {
             for axis in 0..3 {
                 min[axis] = min[axis].min(sum[axis]);
                 max[axis] = max[axis].max(sum[axis]);
             }
+            (id_min, id_max) = (id_min.min(id), id_max.max(id));
         })?;
         let scale = [0, 1, 2].map(|axis| {
             let scale = SIDE as f64 / (max[axis] - min[axis]);
             if scale.is_finite() { scale } else { 0.0 }
         });
-        if scale == [0.0; 3] {
-            return Ok(None);
-        }
-        let mut grid = Grid { min, scale, part_of: vec![0; SIDE * SIDE * SIDE] };
+        let kind = if scale == [0.0; 3] {
+            Kind::Ids { min: id_min, scale: (SIDE * SIDE * SIDE) as f64 / (id_max - id_min).max(1) as f64 }
+        } else {
+            Kind::Place { min, scale }
+        };
+        let mut grid = Grid { kind, part_of: vec![0; SIDE * SIDE * SIDE] };
         let mut counts = vec![0_u64; SIDE * SIDE * SIDE];
-        for_each_sum(scattered, bucket, range, |sum| counts[grid.cell(sum)] += 1)?;
-        // In Morton order, so that neighbouring cells come into one part.
+        for_each(scattered, bucket, range, |sum, id| counts[grid.cell(sum, id)] += 1)?;
         let (mut part, mut sum) = (0, 0);
         for (count, part_of) in counts.iter().zip(&mut grid.part_of) {
             if sum > 0 && sum + count > PART_TRIANGLES {
@@ -102,35 +109,37 @@ impl Grid {
             sum += count;
             *part_of = part;
         }
-        Ok((part > 0).then_some(grid))
+        Ok(grid)
     }
 
-    /// The Morton code of a centroid's cell.
-    fn cell(&self, sum: [f64; 3]) -> usize {
-        let at = [0, 1, 2].map(|axis| {
-            let cell = ((sum[axis] - self.min[axis]) * self.scale[axis]) as usize;
-            cell.min(SIDE - 1)
-        });
-        let mut code = 0;
-        for bit in 0..SIDE.trailing_zeros() {
-            for (axis, at) in at.iter().enumerate() {
-                code |= (at >> bit & 1) << (3 * bit as usize + axis);
+    /// The cell of a triangle.
+    fn cell(&self, sum: [f64; 3], id: u64) -> usize {
+        match self.kind {
+            Kind::Ids { min, scale } => (((id - min) as f64 * scale) as usize).min(SIDE * SIDE * SIDE - 1),
+            Kind::Place { min, scale } => {
+                let mut code = 0;
+                for axis in 0..3 {
+                    let at = (((sum[axis] - min[axis]) * scale[axis]) as usize).min(SIDE - 1);
+                    for bit in 0..SIDE.trailing_zeros() as usize {
+                        code |= (at >> bit & 1) << (3 * bit + axis);
+                    }
+                }
+                code
             }
         }
-        code
     }
 }
 
-fn for_each_sum<P: Point>(
+fn for_each<P: Point>(
     scattered: &Scattered<P>,
     bucket: &mut Bucket<P>,
     range: Range<usize>,
-    mut take: impl FnMut([f64; 3]),
+    mut take: impl FnMut([f64; 3], u64),
 ) -> Result<(), CompileError> {
-    for part in by_order(&scattered.chunks, range) {
-        bucket.load(&scattered.spill, &scattered.chunks[part])?;
-        for triangle in &bucket.triangles {
-            take(sum(bucket, triangle));
+    for segment in segments(&scattered.chunks, range) {
+        bucket.load(&scattered.spills, &scattered.chunks[segment])?;
+        for (triangle, id) in bucket.triangles.iter().zip(&bucket.ids) {
+            take(sum(bucket, triangle), *id);
         }
     }
     Ok(())
@@ -152,16 +161,15 @@ fn part<P: Point>(
     let mut keyed: Vec<(u32, u32)> = Vec::new();
     let mut buffer: Vec<Buffered> = Vec::new();
     let mut materials: Vec<[u16; 2]> = Vec::new();
-    for segment in by_order(&scattered.chunks, range) {
-        bucket.load(&scattered.spill, &scattered.chunks[segment])?;
+    for segment in segments(&scattered.chunks, range) {
+        bucket.load(&scattered.spills, &scattered.chunks[segment])?;
         keyed.clear();
-        keyed.extend(
-            (0..)
-                .zip(&bucket.triangles)
-                .map(|(index, triangle)| (grid.part_of[grid.cell(sum(bucket, triangle))], index)),
-        );
-        // The index as second key keeps the order of ids.
-        keyed.sort_unstable();
+        keyed.extend((0..).zip(&bucket.triangles).map(|(index, triangle)| {
+            let cell = grid.cell(sum(bucket, triangle), bucket.ids[index as usize]);
+            (grid.part_of[cell], index)
+        }));
+        // Chunks hold ascending ids; those of several threads come in turns.
+        keyed.sort_unstable_by_key(|&(part, index): &(u32, u32)| (part, bucket.ids[index as usize]));
         for group in keyed.chunk_by(|a, b| a.0 == b.0) {
             let mut rest = group;
             while let Some(&(part, first)) = rest.first() {
@@ -181,11 +189,18 @@ fn part<P: Point>(
                 rest = &rest[buffer.len()..];
                 let lookup = |vertex: u32| Ok(bucket.vertices[vertex as usize]);
                 let bytes = scattered.writer.write(&buffer, first_id, &materials, lookup)?;
-                let offset = scattered.spill.append(bytes)?;
+                let offset = scattered.spills[0].append(bytes)?;
                 let bytes = bytes.len() as u32;
                 let vertices = scattered.writer.vertex_count() as u16;
                 let triangles = buffer.len() as u16;
-                scattered.chunks.push(ChunkRecord { offset, bytes, bucket: part, triangles, vertices });
+                scattered.chunks.push(ChunkRecord {
+                    offset,
+                    bytes,
+                    bucket: part,
+                    spill: 0,
+                    triangles,
+                    vertices,
+                });
             }
         }
     }

@@ -1,12 +1,14 @@
 //! Triangles to buckets: each goes to the bucket of its centroid, and buckets are flushed as chunks.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::chunk::{Buffered, CHUNK_TRIANGLES_MAX, ChunkRecord, ChunkWriter};
 use super::grid::BucketMap;
+use super::lookup::{Fault, Lookup, Work};
 use super::point::Point;
 use super::spill::{Spill, SpillPlace};
-use super::vertices::Lookup;
+
 use crate::budget::Reservation;
 use crate::error::{BudgetError, CompileError};
 use crate::units::Bytes;
@@ -17,7 +19,8 @@ const BUFFER_TRIANGLES_MIN: usize = 32;
 /// The triangles of every bucket, in chunks.
 #[derive(Debug)]
 pub(super) struct Scattered<P> {
-    pub(super) spill: Spill,
+    /// One per thread that scattered; never empty.
+    pub(super) spills: Vec<Spill>,
     pub(super) chunks: Vec<ChunkRecord>,
     /// The chunks of each bucket that holds any, in octree order.
     pub(super) buckets: Vec<Range<usize>>,
@@ -26,19 +29,33 @@ pub(super) struct Scattered<P> {
     pub(super) writer: ChunkWriter<P>,
 }
 
-/// What is wrong with a triangle that has no valid centroid.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Fault {
-    /// A coordinate is NaN or infinite.
-    NotFinite,
-    /// The chosen precision cannot hold it.
-    OutOfRange,
+impl<P: Point> Scattered<P> {
+    /// Puts the buckets of several threads together. There must be at least one.
+    pub(super) fn join(parts: Vec<Scattered<P>>) -> Scattered<P> {
+        let mut parts = parts.into_iter();
+        // The caller has started at least one thread, and each leaves a part.
+        let mut joined = parts.next().expect("at least one part");
+        for part in parts {
+            let spill = joined.spills.len() as u32;
+            joined.spills.extend(part.spills);
+            joined.chunks.extend(part.chunks.into_iter().map(|chunk| ChunkRecord { spill, ..chunk }));
+            joined.skipped += part.skipped;
+        }
+        joined.chunks.sort_by_key(|chunk| chunk.bucket);
+        joined.buckets = ranges_by_bucket(&joined.chunks, 0);
+        joined
+    }
+
+    /// Bytes that went to temporary files.
+    pub(super) fn spill_bytes(&self) -> u64 {
+        self.spills.iter().map(Spill::file_bytes).sum()
+    }
 }
 
 /// Takes triangles, one batch after the other.
 #[derive(Debug)]
 pub(super) struct Scatter<P> {
-    map: BucketMap,
+    map: Arc<BucketMap>,
     /// Grid cells per third of a point's unit: takes a sum of three vertices to the grid.
     scale: f64,
     /// Triangles per bucket in `buffers`.
@@ -68,7 +85,7 @@ struct Bucket {
 impl<P: Point> Scatter<P> {
     /// `unit` is the length of a coordinate step of `P`; `share` the bytes that the buffers may take.
     pub(super) fn new(
-        map: BucketMap,
+        map: Arc<BucketMap>,
         unit: f64,
         place: SpillPlace,
         share: u64,
@@ -99,7 +116,7 @@ impl<P: Point> Scatter<P> {
     ///
     /// # Errors
     /// Spill cannot be written or read, or a triangle is not valid and may not be skipped.
-    pub(super) fn add<L: Lookup<Point = P>>(
+    fn add<L: Lookup<Point = P>>(
         &mut self,
         triangles: &[[u32; 3]],
         material: u16,
@@ -159,6 +176,7 @@ impl<P: Point> Scatter<P> {
             offset,
             bytes,
             bucket: index as u32,
+            spill: 0,
             triangles: len as u16,
             vertices,
         });
@@ -168,10 +186,7 @@ impl<P: Point> Scatter<P> {
     }
 
     /// Flushes all buffers.
-    pub(super) fn finish<L: Lookup<Point = P>>(
-        mut self,
-        lookup: &mut L,
-    ) -> Result<Scattered<P>, CompileError> {
+    fn finish<L: Lookup<Point = P>>(mut self, lookup: &mut L) -> Result<Scattered<P>, CompileError> {
         for index in 0..self.buckets.len() {
             if self.buckets[index].len > 0 {
                 self.flush(index, lookup)?;
@@ -180,12 +195,39 @@ impl<P: Point> Scatter<P> {
         // Stable: chunks of a bucket stay in the order of ids.
         self.chunks.sort_by_key(|chunk| chunk.bucket);
         Ok(Scattered {
-            spill: self.spill,
+            spills: vec![self.spill],
             buckets: ranges_by_bucket(&self.chunks, 0),
             chunks: self.chunks,
             skipped: self.skipped,
             writer: self.writer,
         })
+    }
+}
+
+/// Placing a batch of triangles.
+pub(super) struct AddBatch<'a, P> {
+    pub(super) scatter: &'a mut Scatter<P>,
+    pub(super) triangles: &'a [[u32; 3]],
+    pub(super) material: u16,
+    pub(super) first_id: u64,
+}
+
+impl<P: Point> Work<P> for AddBatch<'_, P> {
+    type Output = Result<(), CompileError>;
+
+    fn run<L: Lookup<Point = P>>(self, lookup: &mut L) -> Self::Output {
+        self.scatter.add(self.triangles, self.material, self.first_id, lookup)
+    }
+}
+
+/// Flushing what is left.
+pub(super) struct FinishScatter<P>(pub(super) Scatter<P>);
+
+impl<P: Point> Work<P> for FinishScatter<P> {
+    type Output = Result<Scattered<P>, CompileError>;
+
+    fn run<L: Lookup<Point = P>>(self, lookup: &mut L) -> Self::Output {
+        self.0.finish(lookup)
     }
 }
 

@@ -1,11 +1,8 @@
 //! The vertices of the source, in their own precision, within the budget.
 
 use super::pages::Pages;
-use super::point::OUTSIDE;
-use super::scatter::Fault;
 use super::spill::SpillPlace;
 use crate::error::CompileError;
-use crate::geom::Lattice;
 use crate::import::VertexBatch;
 
 /// What is kept of vertices that come as f64.
@@ -79,6 +76,14 @@ impl VertexStore {
         }
     }
 
+    /// Gives up what a `Float32` file has no use for; returns how many bytes of it were spilled.
+    pub(super) fn forget_exact(&mut self) -> u64 {
+        match self {
+            VertexStore::Rounded { exact, .. } => exact.take().map_or(0, |exact| exact.spill_bytes()),
+            _ => 0,
+        }
+    }
+
     pub(super) fn extend(
         &mut self,
         batch: VertexBatch<'_>,
@@ -115,6 +120,17 @@ impl VertexStore {
         }
     }
 
+    /// Whether all that `position` and `narrow` read is in memory.
+    pub(super) fn is_resident(&self) -> bool {
+        match self {
+            VertexStore::Float32(pages) => pages.is_resident(),
+            VertexStore::Rounded { rounded, exact, .. } => {
+                rounded.is_resident() && exact.as_ref().is_none_or(|exact| exact.is_resident())
+            }
+            VertexStore::Exact(pages) => pages.is_resident(),
+        }
+    }
+
     /// The position of a vertex below `len`, as exact as it was kept.
     pub(super) fn position(&mut self, vertex: u32) -> Result<[f64; 3], CompileError> {
         match self {
@@ -128,18 +144,17 @@ impl VertexStore {
         }
     }
 
-    /// What is wrong with a triangle that the file cannot hold.
-    pub(super) fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError> {
-        for vertex in triangle {
-            let is_finite = match self {
-                VertexStore::Rounded { rounded, .. } => !rounded.get(vertex)?[3].is_nan(),
-                _ => self.position(vertex)?.iter().all(|x| x.is_finite()),
-            };
-            if !is_finite {
-                return Ok(Fault::NotFinite);
+    /// [`VertexStore::position`] of a store that is resident.
+    pub(super) fn position_resident(&self, vertex: u32) -> [f64; 3] {
+        match self {
+            VertexStore::Float32(pages) => pages.get_resident(vertex).map(f64::from),
+            VertexStore::Rounded { exact: Some(exact), .. } => exact.get_resident(vertex),
+            VertexStore::Rounded { rounded, .. } => {
+                let [x, y, z, _] = rounded.get_resident(vertex);
+                [x, y, z].map(f64::from)
             }
+            VertexStore::Exact(pages) => pages.get_resident(vertex),
         }
-        Ok(Fault::OutOfRange)
     }
 }
 
@@ -192,79 +207,4 @@ fn round(vertex: [f64; 3]) -> [f32; 4] {
     // The relative error of the sum, the root and the rounding to f32 is far below 2^-22; a subnormal bound is made normal.
     let moved = (square.sqrt() * (1.0 + f64::from(f32::EPSILON))) as f32;
     [rx, ry, rz, if moved > f32::MIN_POSITIVE { moved } else { f32::MIN_POSITIVE }]
-}
-
-/// Looks vertices up in the form in which the file will hold them.
-pub(super) trait Lookup {
-    /// `[f32; 3]` or `[i64; 3]`.
-    type Point: super::point::Point;
-
-    /// The vertex, or a point that is not valid if the vertex is not finite or out of range.
-    fn get(&mut self, vertex: u32) -> Result<Self::Point, CompileError>;
-
-    /// What is wrong with a triangle that has a point that is not valid.
-    fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError>;
-}
-
-/// Vertices in f32, as they came or rounded.
-pub(super) struct Narrow<'a>(pub(super) &'a mut VertexStore);
-
-impl Lookup for Narrow<'_> {
-    type Point = [f32; 3];
-
-    #[inline]
-    fn get(&mut self, vertex: u32) -> Result<[f32; 3], CompileError> {
-        match &mut self.0 {
-            VertexStore::Float32(pages) => pages.get(vertex),
-            VertexStore::Rounded { rounded, .. } => {
-                let [x, y, z, _] = rounded.get(vertex)?;
-                Ok([x, y, z])
-            }
-            VertexStore::Exact(pages) => Ok(pages.get(vertex)?.map(|x| x as f32)),
-        }
-    }
-
-    fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError> {
-        self.0.fault(triangle)
-    }
-}
-
-/// Vertices put on a lattice.
-pub(super) struct OnLattice<'a> {
-    store: &'a mut VertexStore,
-    lattice: Lattice,
-    scale: f64,
-}
-
-impl<'a> OnLattice<'a> {
-    pub(super) fn new(store: &'a mut VertexStore, lattice: Lattice) -> OnLattice<'a> {
-        OnLattice { store, lattice, scale: 1.0 / lattice.step() }
-    }
-
-    /// [`Lattice::quantize`], with `OUTSIDE` for `None`.
-    #[inline]
-    fn quantize(&self, x: f64) -> i64 {
-        // In this range sums with the constant have a unit in the last place of 1, so they round as wanted: ties to even.
-        // Scaling by a power of two is exact unless it underflows, and then the result is 0 all the same.
-        const UNIT_ULP: f64 = (3_u64 << 51) as f64;
-        let scaled = x * self.scale;
-        if scaled.abs() < (1_u64 << 51) as f64 {
-            return ((scaled + UNIT_ULP) - UNIT_ULP) as i64;
-        }
-        self.lattice.quantize(x).unwrap_or(OUTSIDE)
-    }
-}
-
-impl Lookup for OnLattice<'_> {
-    type Point = [i64; 3];
-
-    #[inline]
-    fn get(&mut self, vertex: u32) -> Result<[i64; 3], CompileError> {
-        let [x, y, z] = self.store.position(vertex)?;
-        Ok([self.quantize(x), self.quantize(y), self.quantize(z)])
-    }
-
-    fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError> {
-        self.store.fault(triangle)
-    }
 }
