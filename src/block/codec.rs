@@ -2,6 +2,7 @@
 
 use super::Fault;
 use super::lzo;
+use super::zstd_codec::{ZstdDecoder, ZstdEncoder};
 use crate::error::EncodeError;
 
 /// How a block's payload is compressed.
@@ -65,11 +66,12 @@ pub(super) struct CodecScratch {
     // blocks before it, since a table once grown does not shrink.
     lz4: lz4_flex::block::CompressTable,
     lzo: Option<Box<lzokay_native::Dict>>,
+    zstd: ZstdEncoder,
 }
 
 impl CodecScratch {
     pub fn new() -> CodecScratch {
-        CodecScratch { lz4: lz4_flex::block::CompressTable::large(), lzo: None }
+        CodecScratch { lz4: lz4_flex::block::CompressTable::large(), lzo: None, zstd: ZstdEncoder::default() }
     }
 }
 
@@ -97,7 +99,7 @@ pub(super) fn compress(
                 .map_err(|_| EncodeError::Invalid("LZO could not compress it"))?;
             out.extend_from_slice(&compressed);
         }
-        Codec::Zstd => zstd_compress(payload, out)?,
+        Codec::Zstd => scratch.zstd.compress(payload, out)?,
     }
     let shorter = out.len() - start < payload.len();
     if !shorter {
@@ -107,7 +109,13 @@ pub(super) fn compress(
 }
 
 /// Fills `payload` exactly from `stored`, or says why it cannot. `at` is where `stored` starts in the block.
-pub(super) fn decompress(codec: Codec, stored: &[u8], payload: &mut [u8], at: usize) -> Result<(), Fault> {
+pub(super) fn decompress(
+    codec: Codec,
+    stored: &[u8],
+    payload: &mut [u8],
+    zstd: &mut ZstdDecoder,
+    at: usize,
+) -> Result<(), Fault> {
     let written = match codec {
         Codec::Raw => {
             if stored.len() == payload.len() {
@@ -119,33 +127,7 @@ pub(super) fn decompress(codec: Codec, stored: &[u8], payload: &mut [u8], at: us
             .map_err(|_| Fault(at, "its LZ4 data cannot be decompressed"))?,
         Codec::Lzo => lzo::decompress(stored, payload)
             .map_err(|lzo::Error { offset, reason }| Fault(at + offset, reason))?,
-        Codec::Zstd => zstd_decompress(stored, payload, at)?,
+        Codec::Zstd => zstd.decompress(stored, payload, at)?,
     };
     if written == payload.len() { Ok(()) } else { Err(Fault(at, "its payload has not the promised length")) }
-}
-
-#[cfg(feature = "zstd")]
-fn zstd_compress(payload: &[u8], out: &mut Vec<u8>) -> Result<(), EncodeError> {
-    let start = out.len();
-    out.resize(start + zstd::zstd_safe::compress_bound(payload.len()), 0);
-    let written = zstd::bulk::compress_to_buffer(payload, &mut out[start..], 1)
-        .map_err(|_| EncodeError::Invalid("zstd could not compress it"))?;
-    out.truncate(start + written);
-    Ok(())
-}
-
-#[cfg(not(feature = "zstd"))]
-fn zstd_compress(_payload: &[u8], _out: &mut Vec<u8>) -> Result<(), EncodeError> {
-    Err(EncodeError::CodecMissing { codec: Codec::Zstd.name() })
-}
-
-#[cfg(feature = "zstd")]
-fn zstd_decompress(stored: &[u8], payload: &mut [u8], at: usize) -> Result<usize, Fault> {
-    zstd::bulk::decompress_to_buffer(stored, payload)
-        .map_err(|_| Fault(at, "its zstd data cannot be decompressed"))
-}
-
-#[cfg(not(feature = "zstd"))]
-fn zstd_decompress(_stored: &[u8], _payload: &mut [u8], _at: usize) -> Result<usize, Fault> {
-    Err(Fault(1, "it is compressed with zstd, and this build of outcrop lacks the feature `zstd`"))
 }

@@ -6,18 +6,19 @@ use super::data::{BlockData, BlockLimits};
 use super::header::{BLOCK_HEADER_BYTES, Header, payload_bytes_max};
 use super::shapes::{self, DISTANCES_SLACK, Parents, Streams};
 use super::vertices::Stored;
+use super::zstd_codec::ZstdDecoder;
 use super::{ids, materials};
 use crate::error::BlockError;
 use crate::geom::Precision;
 use crate::units::Bytes;
 
 /// Memory of the decoder, reused from block to block. One per thread.
-#[derive(Clone, Debug)]
 pub struct DecodeScratch {
     payload: Vec<u8>,
     columns: Vec<u32>,
     distances: Vec<u16>,
     parents: Vec<Parents>,
+    zstd: ZstdDecoder,
 }
 
 impl DecodeScratch {
@@ -28,21 +29,23 @@ impl DecodeScratch {
             columns: vec![0; 3 * limits.vertex_count_max()],
             distances: vec![0; 3 * limits.triangle_count_max() + DISTANCES_SLACK],
             parents: vec![Parents::default(); limits.vertex_count_max() + 1],
+            zstd: ZstdDecoder::default(),
         }
     }
 
-    /// What [`DecodeScratch::with_limits`] allocates, for the memory budget (I1).
+    /// What it allocates, for the memory budget (I1). All at once, but for the state of zstd, which comes with the first
+    /// block that needs it.
     pub fn bytes_for(limits: BlockLimits) -> Bytes {
         let per_vertex = 3 * size_of::<u32>() + size_of::<Parents>();
         let per_triangle = 3 * size_of::<u16>();
         let vertices = per_vertex * limits.vertex_count_max() + size_of::<Parents>();
         let triangles = per_triangle * limits.triangle_count_max() + DISTANCES_SLACK * size_of::<u16>();
-        Bytes((payload_bytes_max(limits) + vertices + triangles) as u64)
+        Bytes((payload_bytes_max(limits) + vertices + triangles + ZstdDecoder::BYTES) as u64)
     }
 }
 
 /// Decodes the stored bytes of one block into `data`, whose former contents are lost. Does not allocate if `scratch`
-/// and `data` were made for `limits` (zstd allocates inside its C library).
+/// and `data` were made for `limits`.
 ///
 /// # Errors
 /// [`BlockError`] if the bytes are not exactly what `check` promises; `data` is empty then. Never panics, whatever the
@@ -80,7 +83,7 @@ fn decode_parts(
     let header = Header::parse(bytes, check, lattice.is_some(), limits)?;
     let layout = header.layout();
     let stored = &bytes[BLOCK_HEADER_BYTES..];
-    let DecodeScratch { payload: room, columns, distances, parents } = scratch;
+    let DecodeScratch { payload: room, columns, distances, parents, zstd } = scratch;
     let enough = room.len() >= header.payload_bytes
         && columns.len() >= 3 * header.vertex_count
         && distances.len() >= 3 * header.triangle_count + DISTANCES_SLACK
@@ -94,7 +97,7 @@ fn decode_parts(
     let payload: &[u8] = if header.codec == Codec::Raw && stored.len() == room.len() {
         stored
     } else {
-        codec::decompress(header.codec, stored, room, BLOCK_HEADER_BYTES)?;
+        codec::decompress(header.codec, stored, room, zstd, BLOCK_HEADER_BYTES)?;
         room
     };
 

@@ -32,8 +32,8 @@ impl EncodeScratch {
         }
     }
 
-    /// At most what it allocates, with the output of one block, for the memory budget (I1). The LZO compressor takes
-    /// another 0.7 MiB on first use.
+    /// At most what it allocates, with the output of one block, for the memory budget (I1). The compressors of LZO and
+    /// zstd take up to another MiB at their first block.
     pub fn bytes_for(limits: BlockLimits) -> Bytes {
         let payload = payload_bytes_max(limits);
         let stored = BLOCK_HEADER_BYTES + lz4_flex::block::get_maximum_output_size(payload);

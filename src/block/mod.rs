@@ -21,6 +21,7 @@ mod shapes;
 #[cfg(test)]
 mod tests;
 mod vertices;
+mod zstd_codec;
 
 pub use check::{BlockCheck, checksum};
 pub use codec::Codec;
