@@ -229,3 +229,30 @@ proptest! {
         assert_same(&mesh, &bytes);
     }
 }
+
+#[test]
+fn faces_in_no_order_are_joined_with_their_vertices() {
+    // More vertices than the tight budget holds, and faces that jump about among them.
+    let mut mesh = Mesh::of(&Gears::with_tessellation(4, Tessellation::new(12).unwrap()).unwrap());
+    let count = mesh.triangles.len();
+    let order: Vec<usize> = (0..count).map(|index| index * 48_611 % count).collect();
+    mesh.triangles = order.iter().map(|index| mesh.triangles[*index]).collect();
+    mesh.materials = (0..count).map(|index| (index / 10_000 % 3) as u16).collect();
+    for complete_first in [true, false] {
+        mesh.complete_first = complete_first;
+        let (_, expected) = compile(&mesh, &CompileOptions::default(), ROOMY);
+        assert_same(&mesh, &expected);
+        let (report, bytes) = compile(&mesh, &CompileOptions::default(), Bytes::mib(20));
+        assert!(report.spill_bytes > 0 && bytes == expected);
+    }
+    // A triangle that is not finite is named by its own vertices, not by those of its batch.
+    let Vertices::Float32(vertices) = &mut mesh.vertices else { unreachable!("gears are in f32") };
+    vertices[100_000][2] = f32::NAN;
+    let users: Vec<usize> = (0..count).filter(|index| mesh.triangles[*index].contains(&100_000)).collect();
+    let options = CompileOptions { skip_not_finite: true, ..CompileOptions::default() };
+    let (report, bytes) = compile(&mesh, &options, Bytes::mib(20));
+    assert_eq!(report.skipped, users.len() as u64);
+    let (_, stored) = read_back(&bytes);
+    let missing: Vec<usize> = (0..count).filter(|index| stored[*index].is_none()).collect();
+    assert_eq!(missing, users);
+}

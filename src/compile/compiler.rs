@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::blocks::{BlockMaker, BlockSettings};
 use super::bucket::Bucket;
 use super::clock::{Meter, Moment};
-use super::crew::{Crew, Placer, batch_bytes};
+use super::crew::{Crew, batch_bytes};
 use super::faces::Faces;
 use super::grid::{BucketMap, GRID_BYTES, Grid};
 use super::lookup::{AsFloat32, AsLattice, Form};
@@ -15,6 +15,7 @@ use super::options::{
 };
 use super::output::{Output, directory_of, name_of};
 use super::parallel::{Worker, encode_buckets};
+use super::placer::Placer;
 use super::point::Point;
 use super::precision::{Decision, RoundingWatch, coarsest_lattice, shortest_square};
 use super::refine::{refine, triangle_count};
@@ -321,10 +322,12 @@ impl<'p> Compiler<'p> {
                 let store = Arc::new(std::mem::replace(&mut self.store, empty));
                 let crew = Crew::start(&pool, scatters, memory, &store, form);
                 self.shared = Some(store);
-                return Ok(Placer::Crew(crew));
+                return Ok(Placer::Crew(Box::new(crew)));
             }
         }
-        Ok(Placer::Own(make(&self.place, share)?))
+        // The spill must not take what gathering may come to need.
+        let scatter = make(&self.place, share)?;
+        Ok(Placer::own(scatter, self.budget.clone(), SPILL_BUFFERS))
     }
 
     /// The vertices, whoever reads them.

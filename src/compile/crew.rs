@@ -168,38 +168,3 @@ fn work<F: Form>(
     time.add_since(start);
     Ok((scattered, time))
 }
-
-/// Scatter on the calling thread, or by a crew.
-pub(super) enum Placer<P: Point> {
-    Own(Scatter<P>),
-    Crew(Crew<P>),
-}
-
-impl<P: Point> Placer<P> {
-    /// Places a batch of triangles; `store` is asked only if no crew has it.
-    pub(super) fn add<F: Form<Point = P>>(
-        &mut self,
-        triangles: &[[u32; 3]],
-        material: u16,
-        first_id: u64,
-        store: &mut VertexStore,
-        form: &F,
-    ) -> Result<(), CompileError> {
-        match self {
-            Placer::Own(scatter) => store.serve(form, AddBatch { scatter, triangles, material, first_id }),
-            Placer::Crew(crew) => crew.add(triangles, material, first_id),
-        }
-    }
-
-    /// All buckets, and the time that a crew spent.
-    pub(super) fn finish<F: Form<Point = P>>(
-        self,
-        store: &mut VertexStore,
-        form: &F,
-    ) -> Result<(Scattered<P>, Meter), CompileError> {
-        match self {
-            Placer::Own(scatter) => Ok((store.serve(form, FinishScatter(scatter))?, Meter::default())),
-            Placer::Crew(crew) => crew.finish(),
-        }
-    }
-}

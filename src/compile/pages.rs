@@ -28,6 +28,8 @@ pub(super) struct Pages<T> {
     reservations: Vec<Reservation>,
     /// Next frame to reuse.
     hand: usize,
+    /// Pages read back so far.
+    fetches: u64,
     /// Once it exists it holds every full page, in order.
     spill: Option<Spill>,
     len: usize,
@@ -44,6 +46,7 @@ impl<T: Pod> Pages<T> {
             page_in: Vec::new(),
             reservations: Vec::new(),
             hand: 0,
+            fetches: 0,
             spill: None,
             len: 0,
             headroom,
@@ -57,6 +60,32 @@ impl<T: Pod> Pages<T> {
     /// Whether every item is in memory, so that reading needs no exclusive access.
     pub(super) fn is_resident(&self) -> bool {
         self.spill.is_none()
+    }
+
+    /// How many pages were read back so far.
+    pub(super) fn fetches(&self) -> u64 {
+        self.fetches
+    }
+
+    /// Gives back all but the least memory. Only once there is a spill; the page that is being filled stays.
+    pub(super) fn shrink(&mut self) {
+        if self.spill.is_none() || self.frames.len() <= FRAMES_MIN {
+            return;
+        }
+        let full_pages = self.len >> PAGE_SHIFT;
+        // The page that is in no other place comes first and stays.
+        if let Some(last) = self.page_in.iter().position(|page| *page as usize >= full_pages) {
+            self.frames.swap(0, last);
+            self.page_in.swap(0, last);
+        }
+        self.frames.truncate(FRAMES_MIN);
+        self.page_in.truncate(FRAMES_MIN);
+        self.reservations.truncate(FRAMES_MIN);
+        self.hand = 0;
+        self.frame_of.fill(ABSENT);
+        for (frame, page) in (0..).zip(&self.page_in) {
+            self.frame_of[*page as usize] = frame;
+        }
     }
 
     /// What the frames hold of the budget.
@@ -158,6 +187,7 @@ impl<T: Pod> Pages<T> {
     #[cold]
     fn fetch(&mut self, page: usize) -> Result<u32, CompileError> {
         let frame = self.take_frame(page as u32);
+        self.fetches += 1;
         let items = &mut self.frames[frame];
         let spill = self.spill.as_ref().expect("a page is absent only once there is a spill");
         items.resize(PAGE_ITEMS, T::zeroed());

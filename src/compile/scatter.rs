@@ -116,7 +116,7 @@ impl<P: Point> Scatter<P> {
     ///
     /// # Errors
     /// Spill cannot be written or read, or a triangle is not valid and may not be skipped.
-    fn add<L: Lookup<Point = P>>(
+    pub(super) fn add<L: Lookup<Point = P>>(
         &mut self,
         triangles: &[[u32; 3]],
         material: u16,
@@ -186,12 +186,17 @@ impl<P: Point> Scatter<P> {
     }
 
     /// Flushes all buffers.
-    fn finish<L: Lookup<Point = P>>(mut self, lookup: &mut L) -> Result<Scattered<P>, CompileError> {
+    pub(super) fn flush_all<L: Lookup<Point = P>>(&mut self, lookup: &mut L) -> Result<(), CompileError> {
         for index in 0..self.buckets.len() {
             if self.buckets[index].len > 0 {
                 self.flush(index, lookup)?;
             }
         }
+        Ok(())
+    }
+
+    fn finish<L: Lookup<Point = P>>(mut self, lookup: &mut L) -> Result<Scattered<P>, CompileError> {
+        self.flush_all(lookup)?;
         // Stable: chunks of a bucket stay in the order of ids.
         self.chunks.sort_by_key(|chunk| chunk.bucket);
         Ok(Scattered {

@@ -76,6 +76,31 @@ impl VertexStore {
         }
     }
 
+    /// How many pages were read back so far.
+    pub(super) fn fetches(&self) -> u64 {
+        match self {
+            VertexStore::Float32(pages) => pages.fetches(),
+            VertexStore::Rounded { rounded, exact, .. } => {
+                rounded.fetches() + exact.as_ref().map_or(0, |exact| exact.fetches())
+            }
+            VertexStore::Exact(pages) => pages.fetches(),
+        }
+    }
+
+    /// Gives back what memory it can do without.
+    pub(super) fn shrink(&mut self) {
+        match self {
+            VertexStore::Float32(pages) => pages.shrink(),
+            VertexStore::Rounded { rounded, exact, .. } => {
+                rounded.shrink();
+                if let Some(exact) = exact {
+                    exact.shrink();
+                }
+            }
+            VertexStore::Exact(pages) => pages.shrink(),
+        }
+    }
+
     /// Gives up what a `Float32` file has no use for; returns how many bytes of it were spilled.
     pub(super) fn forget_exact(&mut self) -> u64 {
         match self {
