@@ -67,6 +67,8 @@ struct Piece {
     known: HashMap<[u64; 3], u16>,
     floats: Vec<[f32; 3]>,
     lattice: Vec<[i64; 3]>,
+    /// Least and greatest lattice coordinates.
+    range: Option<[[i64; 3]; 2]>,
     triangles: Vec<[u16; 3]>,
     boxes: Vec<Aabb>,
 }
@@ -81,15 +83,22 @@ impl Piece {
     ) -> Result<Piece, CompileError> {
         let mut piece = Piece::default();
         for (corners, id) in triangles.iter().zip(first_id..) {
-            // A triangle that shares no vertex may add three; stopping before it needs no way back.
             let wide = match precision {
                 Precision::Float32 => false,
                 Precision::Lattice(lattice) => {
-                    let mut all = piece.lattice.clone();
-                    all.extend(corners.iter().map(|corner| corner.map(|x| lattice.quantize(x).unwrap_or(0))));
-                    is_wide(lattice, &all)
+                    let mut range = piece.range;
+                    for corner in corners {
+                        let coordinates = corner.map(|x| lattice.quantize(x).unwrap_or(0));
+                        range = range.map_or(Some([coordinates; 2]), |[min, max]| {
+                            let least = [0, 1, 2].map(|axis| coordinates[axis].min(min[axis]));
+                            Some([least, [0, 1, 2].map(|axis| coordinates[axis].max(max[axis]))])
+                        });
+                    }
+                    piece.range = range;
+                    range.is_some_and(|range| is_wide(lattice, &range))
                 }
             };
+            // A triangle that shares no vertex adds three; stopping before it needs no way back.
             let vertex_count = piece.known.len() + 3;
             if !limits.fits(vertex_count, piece.triangles.len() + 1, wide) {
                 break;
