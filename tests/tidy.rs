@@ -239,8 +239,20 @@ fn unsafe_is_argued(source: &Source) -> Vec<String> {
     let code: Vec<&str> = source.code.lines().collect();
     let comments: Vec<&str> = source.comments.lines().collect();
     let argued = |line: usize| comments[line].contains("SAFETY:") || comments[line].contains("# Safety");
+    // A method of a trait: what its caller owes stands with the trait.
+    let owed_by_trait = |at: usize| {
+        source.code[at..].starts_with("unsafe fn")
+            && items(&source.code).iter().any(|(start, head, body)| {
+                (*start..start + head.len() + body.len()).contains(&at)
+                    && head.contains("impl")
+                    && head.contains(" for ")
+            })
+    };
     let mut complaints = Vec::new();
     for at in words(&source.code, "unsafe") {
+        if owed_by_trait(at) {
+            continue;
+        }
         let here = source.code[..at].matches('\n').count();
         let mut line = here;
         let mut found = argued(here);
@@ -511,6 +523,9 @@ fn unsafe_without_an_argument_is_found() {
     assert_eq!(complaints("let safety = \"SAFETY: text\"; unsafe { g() }"), 1);
     assert_eq!(complaints("// SAFETY: in bounds.\nlet x =\n    unsafe { g() };"), 0);
     assert_eq!(complaints("// SAFETY: Sync, because\n// it is.\n#[allow(x)]\nunsafe impl Sync for X {}"), 0);
+    assert_eq!(complaints("impl S {\n    unsafe fn f() {}\n}"), 1);
+    assert_eq!(complaints("impl T for S {\n    unsafe fn f() {\n        unsafe { g() }\n    }\n}"), 1);
+    assert_eq!(complaints("impl T for S {\n    unsafe fn f() {}\n}"), 0);
     assert_eq!(complaints("/// Does.\n///\n/// # Safety\n/// Owed.\npub unsafe fn f() {}"), 0);
 }
 
