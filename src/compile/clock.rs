@@ -34,7 +34,7 @@ impl Meter {
         now
     }
 
-    /// Adds the spans of another thread, which ran beside those of this one.
+    /// Adds the spans of another meter.
     pub(super) fn merge(&mut self, other: &Meter) {
         self.wall += other.wall;
         self.cpu += other.cpu;

@@ -80,6 +80,13 @@ pub struct Compiler<'p> {
     grid_memory: Option<Reservation>,
 }
 
+/// The time of an attempt that came to nothing.
+pub(super) struct Spent {
+    start: Moment,
+    parse: Meter,
+    scatter: Meter,
+}
+
 /// Where triangles go.
 enum Stage {
     /// They wait: the grid or the precision is not known yet.
@@ -181,6 +188,19 @@ impl<'p> Compiler<'p> {
         let hoped = self.keep == Keep::Rounded && self.options.precision == PrecisionChoice::Auto;
         let needs = if self.watch.is_certain() { Keep::Exact } else { Keep::Both };
         (hoped && self.watch.exceeded()).then_some(needs)
+    }
+
+    /// Ends an attempt; the time it took is for [`Compiler::add_spent`].
+    pub(super) fn into_spent(mut self) -> Spent {
+        self.parse.add_since(self.left);
+        Spent { start: self.start, parse: self.parse, scatter: self.scatter }
+    }
+
+    /// Counts the time of an earlier attempt on the same thread.
+    pub(super) fn add_spent(&mut self, spent: &Spent) {
+        self.start = spent.start;
+        self.parse.merge(&spent.parse);
+        self.scatter.merge(&spent.scatter);
     }
 
     /// What `Auto` shall keep of f64 vertices. [`Keep::Rounded`] hopes for `Float32`: the mesh has to come once more if

@@ -23,16 +23,19 @@ pub fn compile_file(
     let source = source_record(input)?;
     // A file can be read again, so the rare need for exact vertices costs a second reading and not the space to keep them
     // every time.
-    let mut keep = Keep::Rounded;
+    let (mut keep, mut spent) = (Keep::Rounded, None);
     loop {
         let mut compiler = Compiler::new(output, options.clone(), budget, &mut *progress)?;
         compiler.set_source(source);
         compiler.set_keep(keep);
+        if let Some(spent) = &spent {
+            compiler.add_spent(spent);
+        }
         let imported = import_file(input, &ImportOptions::default(), &mut compiler);
         let imported = imported.map_err(sink_error).and_then(|_| compiler.drain());
         match (imported, compiler.needs()) {
             // Asks at most once: with more kept there is nothing to need.
-            (Err(_), Some(needed)) => keep = needed,
+            (Err(_), Some(needed)) => (keep, spent) = (needed, Some(compiler.into_spent())),
             (Err(error), None) => return Err(error),
             (Ok(()), _) => return compiler.finish(),
         }
