@@ -90,7 +90,7 @@ pub(super) struct Spent {
 /// Where triangles go.
 enum Stage {
     /// They wait: the grid or the precision is not known yet.
-    Waiting(Faces),
+    Waiting(Box<Faces>),
     Narrow(Placer<[f32; 3]>),
     Lattice(Placer<[i64; 3]>, AsLattice),
     /// All were scattered.
@@ -149,7 +149,7 @@ impl<'p> Compiler<'p> {
             output: output.to_path_buf(),
             store: VertexStore::new(place.clone(), headroom),
             shared: None,
-            stage: Stage::Waiting(faces),
+            stage: Stage::Waiting(Box::new(faces)),
             budget: budget.clone(),
             place,
             pool,
