@@ -136,7 +136,11 @@ fn a_large_cache_costs_only_what_is_used() {
     let cache = SlotCache::new(1000, Bytes(SLOT), 5000, Lru::new(), &budget).unwrap();
     let made = anonymous_kib();
     for block in 0..16 {
-        drop(cache.pin(BlockId(block), &mut |slot| Ok(slot.fill(1))).unwrap());
+        let mut fill = |slot: &mut [u8]| {
+            slot.fill(1);
+            Ok(())
+        };
+        drop(cache.pin(BlockId(block), &mut fill).unwrap());
     }
     let used = anonymous_kib();
     // Generous: other tests run meanwhile, and huge pages may round up.

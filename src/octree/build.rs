@@ -1,12 +1,14 @@
 //! Builds trees of 8-wide nodes: the fine tree of a block into its slot, and the coarse tree over all blocks.
 //!
-//! A node splits its primitives at one point, the middle of their centres' box, by planes on the axes where that box is
-//! at least 0.3 of its longest extent, into octants; each primitive goes to exactly one octant by its centre, and the
-//! octants' boxes are tight. Then the largest octants (by surface area) are split again while lanes are free. Where
-//! no plane separates the centres, primitives are split by their order.
+//! A fine node splits its primitives at one point into octants, by planes where the surface area heuristic puts them, on
+//! the axes where that gains at least 0.8 of what the best axis gains; each primitive goes to exactly one octant by its
+//! centre, and the octants' boxes are tight. Then the largest octants (by surface area) are split again while lanes are
+//! free. Where no plane separates the centres, primitives are split by their order. The coarse tree, which every ray
+//! passes, is built once and so with more care: by one plane at a time.
 
 use super::node::{Child, Node, PLANE_DEPTH_MAX};
-use crate::simd::{LANES, Simd};
+use super::sah::{best_plane, octant_planes};
+use crate::simd::{Boxes, LANES, Simd};
 
 /// The box of a primitive or of many: lowest x, y, z, an unused lane, then highest x, y, z negated and an unused lane,
 /// so that one `min` merges two boxes.
@@ -15,17 +17,18 @@ pub(super) type MinBox = [f32; LANES];
 /// The box that holds nothing.
 pub(super) const EMPTY: MinBox = [f32::INFINITY; LANES];
 
-/// An axis gets a plane if its extent is at least this part of the longest one.
-const GATE: f32 = 0.3;
-
 /// Writes leaves.
 pub(super) trait LeafSink<S: Simd> {
     /// Largest leaf that is not split further.
     const LEAF_MAX: usize;
+    /// Whether to split by one plane at a time, with more bins, instead of into octants.
+    const ONE_PLANE: bool;
 
-    /// Writes the leaf of the primitives `order`, which take places `start ..` in the tree's order. Returns the child
-    /// and the value for [`Node::edges`].
-    fn leaf(&mut self, simd: S, start: usize, order: &[u32]) -> (Child, f32);
+    /// What stands for the node at `index`; indices ascend.
+    fn inner(&mut self, index: usize) -> Child;
+
+    /// Writes the leaf of the primitives `order`.
+    fn leaf(&mut self, simd: S, order: &[u32]) -> Child;
 }
 
 /// Memory for building trees, allocated once.
@@ -99,8 +102,8 @@ impl BuildScratch {
     }
 }
 
-/// Builds a tree over the first `count` boxes of `scratch` into `nodes`; leaves grow where `nodes` is too short.
-/// Returns how many nodes it took (at least one) and the box of everything.
+/// Builds a tree over the first `count` boxes of `scratch` into `nodes`, the root first; leaves grow where `nodes` is too
+/// short.
 ///
 /// # Panics
 /// If `nodes` is empty or `scratch` is too small.
@@ -111,37 +114,57 @@ pub(super) fn build_tree<S: Simd, L: LeafSink<S>>(
     count: usize,
     nodes: &mut [Node],
     sink: &mut L,
-) -> (usize, MinBox) {
-    let BuildScratch { boxes, order, octants, tasks, .. } = scratch;
-    for (i, place) in order[0][..count].iter_mut().enumerate() {
-        *place = i as u32;
+) {
+    let mut tree = Tree::new(simd, scratch, count, nodes);
+    let run = tree.measure(0, count, 0);
+    tree.node_count = 1;
+    tree.tasks.push(Task { run, node: 0, depth: 0 });
+    tree.grow(sink);
+}
+
+/// The first children of a forest, by group.
+pub(super) struct Groups {
+    pub children: [Child; LANES],
+    /// Bit `i`: group `i` has primitives.
+    pub used: u32,
+    /// The box of everything.
+    pub bounds: MinBox,
+}
+
+/// Builds one tree for each of up to eight groups of primitives: each primitive belongs to the first of `boxes` that
+/// holds it, or to the last group if none does. Otherwise as [`build_tree`].
+#[inline(always)]
+pub(super) fn build_groups<S: Simd, L: LeafSink<S>>(
+    simd: S,
+    scratch: &mut BuildScratch,
+    count: usize,
+    boxes: &Boxes,
+    nodes: &mut [Node],
+    sink: &mut L,
+) -> Groups {
+    let mut tree = Tree::new(simd, scratch, count, nodes);
+    let run = tree.measure(0, count, 0);
+    let mut parts = [run; LANES];
+    let zero = simd.splat(0.0);
+    let [low_x, low_y, low_z, high_x, high_y, high_z] = boxes;
+    let holds = ByGroup {
+        low: [simd.load(low_x), simd.load(low_y), simd.load(low_z)],
+        negative_high: [
+            simd.sub(zero, simd.load(high_x)),
+            simd.sub(zero, simd.load(high_y)),
+            simd.sub(zero, simd.load(high_z)),
+        ],
+    };
+    let used = tree.partition(&run, &holds, &mut parts);
+    let mut groups = Groups { children: [Child::NONE; LANES], used, bounds: run.bounds };
+    let mut lanes = used;
+    for part in &parts[..used.count_ones() as usize] {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        groups.children[lane] = tree.child(part, 0, sink);
     }
-    let mut tree = Tree { simd, boxes, order, octants };
-    let root = tree.measure(0, count, 0);
-    tasks.clear();
-    tasks.push(Task { run: root, node: 0, depth: 0 });
-    let mut node_count = 1;
-    while let Some(task) = tasks.pop() {
-        let (runs, run_count) = tree.children(&task, L::LEAF_MAX);
-        let mut node = Node::EMPTY;
-        for (lane, run) in runs[..run_count].iter().enumerate() {
-            for axis in 0..3 {
-                node.bounds[axis][lane] = run.bounds[axis];
-                node.bounds[axis + 3][lane] = -run.bounds[axis + 4];
-            }
-            if run.count() > L::LEAF_MAX && node_count < nodes.len() {
-                node.children[lane] = Child::node(node_count as u32);
-                tasks.push(Task { run: *run, node: node_count as u32, depth: task.depth + 1 });
-                node_count += 1;
-            } else {
-                let places = run.start as usize..run.end as usize;
-                let order = &tree.order[usize::from(run.copy)][places];
-                (node.children[lane], node.edges[lane]) = sink.leaf(simd, run.start as usize, order);
-            }
-        }
-        nodes[task.node as usize] = node;
-    }
-    (node_count, root.bounds)
+    tree.grow(sink);
+    groups
 }
 
 struct Tree<'a, S> {
@@ -149,9 +172,92 @@ struct Tree<'a, S> {
     boxes: &'a mut [Vec<MinBox>; 2],
     order: &'a mut [Vec<u32>; 2],
     octants: &'a mut [u8],
+    tasks: &'a mut Vec<Task>,
+    nodes: &'a mut [Node],
+    node_count: usize,
 }
 
-impl<S: Simd> Tree<'_, S> {
+/// Sorts primitives into at most eight parts.
+trait Classify<S: Simd> {
+    /// The part of a primitive; the sides of its box in lanes, and twice its centre in the same form.
+    fn part(&self, simd: S, primitive: &MinBox, center: S::F) -> usize;
+}
+
+/// By which side of up to three planes the centre is on.
+struct ByPlanes<F> {
+    /// Twice the position of each plane.
+    middle: F,
+    /// Bit `i`: axis `i` has a plane.
+    mask: u32,
+}
+
+impl<S: Simd> Classify<S> for ByPlanes<S::F> {
+    #[inline(always)]
+    fn part(&self, simd: S, _: &MinBox, center: S::F) -> usize {
+        (simd.bits(simd.lt(self.middle, center)) & self.mask) as usize
+    }
+}
+
+/// By which of eight boxes holds the primitive.
+struct ByGroup<F> {
+    low: [F; 3],
+    negative_high: [F; 3],
+}
+
+impl<S: Simd> Classify<S> for ByGroup<S::F> {
+    #[inline(always)]
+    fn part(&self, simd: S, primitive: &MinBox, _: S::F) -> usize {
+        let mut holds = simd.le(self.low[0], simd.splat(primitive[0]));
+        holds = simd.and(holds, simd.le(self.low[1], simd.splat(primitive[1])));
+        holds = simd.and(holds, simd.le(self.low[2], simd.splat(primitive[2])));
+        holds = simd.and(holds, simd.le(self.negative_high[0], simd.splat(primitive[4])));
+        holds = simd.and(holds, simd.le(self.negative_high[1], simd.splat(primitive[5])));
+        holds = simd.and(holds, simd.le(self.negative_high[2], simd.splat(primitive[6])));
+        (simd.bits(holds) | 0x80).trailing_zeros() as usize
+    }
+}
+
+impl<'a, S: Simd> Tree<'a, S> {
+    #[inline(always)]
+    fn new(simd: S, scratch: &'a mut BuildScratch, count: usize, nodes: &'a mut [Node]) -> Tree<'a, S> {
+        let BuildScratch { boxes, order, octants, tasks, .. } = scratch;
+        for (i, place) in order[0][..count].iter_mut().enumerate() {
+            *place = i as u32;
+        }
+        tasks.clear();
+        Tree { simd, boxes, order, octants, tasks, nodes, node_count: 0 }
+    }
+
+    /// Finishes all tasks.
+    #[inline(always)]
+    fn grow<L: LeafSink<S>>(&mut self, sink: &mut L) {
+        while let Some(task) = self.tasks.pop() {
+            let (runs, run_count) = self.children::<L>(&task);
+            let mut node = Node::EMPTY;
+            for (lane, run) in runs[..run_count].iter().enumerate() {
+                for axis in 0..3 {
+                    node.bounds[axis][lane] = run.bounds[axis];
+                    node.bounds[axis + 3][lane] = -run.bounds[axis + 4];
+                }
+                node.children[lane] = self.child(run, task.depth + 1, sink);
+            }
+            self.nodes[task.node as usize] = node;
+        }
+    }
+
+    /// A run as a child: a leaf if it is short or there are no nodes left, else a node and the task to fill it.
+    #[inline(always)]
+    fn child<L: LeafSink<S>>(&mut self, run: &Run, depth: u32, sink: &mut L) -> Child {
+        if run.count() > L::LEAF_MAX && self.node_count < self.nodes.len() {
+            let node = self.node_count;
+            self.node_count += 1;
+            self.tasks.push(Task { run: *run, node: node as u32, depth });
+            return sink.inner(node);
+        }
+        let places = run.start as usize..run.end as usize;
+        sink.leaf(self.simd, &self.order[usize::from(run.copy)][places])
+    }
+
     /// A run's boxes, from its primitives.
     #[inline(always)]
     fn measure(&self, start: usize, end: usize, copy: u8) -> Run {
@@ -173,7 +279,7 @@ impl<S: Simd> Tree<'_, S> {
 
     /// The children of a node: its octants, the largest of them split again.
     #[inline(always)]
-    fn children(&mut self, task: &Task, leaf_max: usize) -> ([Run; LANES], usize) {
+    fn children<L: LeafSink<S>>(&mut self, task: &Task) -> ([Run; LANES], usize) {
         let mut runs = [task.run; LANES];
         let mut count = 1;
         loop {
@@ -182,8 +288,8 @@ impl<S: Simd> Tree<'_, S> {
             let mut largest_area = f32::NEG_INFINITY;
             for (i, run) in runs[..count].iter().enumerate() {
                 let area = run.area();
-                // Written so that an area that overflowed to NaN is still taken.
-                if run.count() > leaf_max && !(area <= largest_area) {
+                // An area that overflowed to NaN is still taken.
+                if run.count() > L::LEAF_MAX && (area.is_nan() || area > largest_area) {
                     (largest, largest_area) = (Some(i), area);
                 }
             }
@@ -196,7 +302,8 @@ impl<S: Simd> Tree<'_, S> {
             };
             let run = runs[largest];
             let mut parts = [run; LANES];
-            let part_count = self.split(&run, planes, task.depth, &mut parts);
+            let planes = if L::ONE_PLANE { 1 } else { planes };
+            let part_count = self.split::<L>(&run, planes, task.depth, &mut parts);
             runs[largest] = parts[0];
             runs[count..count + part_count - 1].copy_from_slice(&parts[1..part_count]);
             count += part_count - 1;
@@ -206,11 +313,28 @@ impl<S: Simd> Tree<'_, S> {
 
     /// Splits a run of at least two primitives by at most `planes_max` planes into 2 to `2^planes_max` parts, none empty.
     #[inline(always)]
-    fn split(&mut self, run: &Run, planes_max: u32, depth: u32, parts: &mut [Run; LANES]) -> usize {
-        if depth < PLANE_DEPTH_MAX {
-            let part_count = self.split_by_planes(run, planes_max, parts);
-            if part_count > 1 {
-                return part_count;
+    fn split<L: LeafSink<S>>(
+        &mut self,
+        run: &Run,
+        planes_max: u32,
+        depth: u32,
+        parts: &mut [Run; LANES],
+    ) -> usize {
+        let planes = if depth >= PLANE_DEPTH_MAX {
+            None
+        } else {
+            let boxes = &self.boxes[usize::from(run.copy)][run.start as usize..run.end as usize];
+            if L::ONE_PLANE {
+                best_plane(boxes, &run.centers)
+            } else {
+                octant_planes(self.simd, boxes, &run.bounds, &run.centers, planes_max)
+            }
+        };
+        if let Some((middle, mask)) = planes {
+            let by_planes = ByPlanes { middle: self.simd.load(&middle), mask };
+            let used = self.partition(run, &by_planes, parts);
+            if used.count_ones() > 1 {
+                return used.count_ones() as usize;
             }
         }
         // All centres in one place, or too deep: equal shares in the order at hand.
@@ -227,35 +351,11 @@ impl<S: Simd> Tree<'_, S> {
         share_count
     }
 
-    /// Returns 1 (and leaves `run` as it is) if no plane separates the centres.
+    /// Moves the primitives of a run to the other copy, sorted into parts, none of them empty. Returns a bit for each
+    /// part that has primitives. If only one has, nothing is moved and `parts[0]` is the run as it was.
     #[inline(always)]
-    fn split_by_planes(&mut self, run: &Run, planes_max: u32, parts: &mut [Run; LANES]) -> usize {
+    fn partition(&mut self, run: &Run, classify: &impl Classify<S>, parts: &mut [Run; LANES]) -> u32 {
         let simd = self.simd;
-        let c = &run.centers;
-        let extents = [-c[4] - c[0], -c[5] - c[1], -c[6] - c[2]];
-        let longest = extents[0].max(extents[1]).max(extents[2]);
-        // Overflow or no extent at all.
-        if !(longest > 0.0 && longest < f32::INFINITY) {
-            return 1;
-        }
-        let mut mask = 0u32;
-        let mut axes = [0usize, 1, 2];
-        for (i, j) in [(0, 1), (1, 2), (0, 1)] {
-            if extents[axes[j]] > extents[axes[i]] {
-                axes.swap(i, j);
-            }
-        }
-        for axis in &axes[..planes_max as usize] {
-            if extents[*axis] >= GATE * longest {
-                mask |= 1 << axis;
-            }
-        }
-        let mut middle = [f32::INFINITY; LANES];
-        for axis in 0..3 {
-            middle[axis] = 0.5 * c[axis] - 0.5 * c[axis + 4];
-        }
-        let middle = simd.load(&middle);
-
         let (start, end) = (run.start as usize, run.end as usize);
         let copy = usize::from(run.copy);
         let empty = simd.load(&EMPTY);
@@ -263,17 +363,22 @@ impl<S: Simd> Tree<'_, S> {
         let mut bounds = [empty; LANES];
         let mut centers = [empty; LANES];
         let octants = &mut self.octants[start..end];
-        for (primitive, octant_of) in self.boxes[copy][start..end].iter().zip(octants.iter_mut()) {
-            let primitive = simd.load(primitive);
+        for (sides, octant_of) in self.boxes[copy][start..end].iter().zip(octants.iter_mut()) {
+            let primitive = simd.load(sides);
             let center = double_center(simd, primitive);
-            let octant = (simd.bits(simd.lt(middle, center)) & mask) as usize;
+            let octant = classify.part(simd, sides, center) & 7;
             *octant_of = octant as u8;
             counts[octant] += 1;
             bounds[octant] = simd.min(primitive, bounds[octant]);
             centers[octant] = simd.min(center, centers[octant]);
         }
-        if counts.iter().any(|count| *count as usize == end - start) {
-            return 1;
+        let mut used = 0u32;
+        for (octant, count) in counts.iter().enumerate() {
+            used |= u32::from(*count > 0) << octant;
+        }
+        if used.count_ones() == 1 {
+            parts[0] = *run;
+            return used;
         }
 
         let mut places = [0u32; LANES];
@@ -304,12 +409,12 @@ impl<S: Simd> Tree<'_, S> {
             order_to[*place as usize] = *index;
             *place += 1;
         }
-        part_count
+        used
     }
 }
 
 /// Twice the centre in lanes 0 to 2, its negative in lanes 4 to 6.
 #[inline(always)]
-fn double_center<S: Simd>(simd: S, bounds: S::F) -> S::F {
+pub(super) fn double_center<S: Simd>(simd: S, bounds: S::F) -> S::F {
     simd.sub(bounds, simd.swap_halves(bounds))
 }

@@ -7,7 +7,7 @@ use crate::budget::{MemoryBudget, Reservation};
 use crate::error::BudgetError;
 use crate::geom::Precision;
 use crate::model::Model;
-use crate::simd::{Operation, PackedBoxes, Simd, SimdLevel, dispatch};
+use crate::simd::{AnyOperation, PackedBoxes, Simd, SimdLevel, dispatch};
 use crate::units::Bytes;
 
 /// A tree whose leaves are blocks.
@@ -72,9 +72,10 @@ struct Build<'a> {
     scratch: &'a mut BuildScratch,
 }
 
-impl Operation for Build<'_> {
+impl AnyOperation for Build<'_> {
     type Output = usize;
 
+    /// How many nodes the tree has.
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> usize {
         let (boxes, _) = self.scratch.primitives(self.model.blocks.len());
@@ -82,18 +83,29 @@ impl Operation for Build<'_> {
             let (low, high) = self.frame.box_to_local(&entry.bounds);
             *place = [low[0], low[1], low[2], 0.0, -high[0], -high[1], -high[2], 0.0];
         }
-        build_tree(simd, self.scratch, self.model.blocks.len(), self.nodes, &mut BlockSink).0
+        let mut sink = BlockSink { node_count: 1 };
+        build_tree(simd, self.scratch, self.model.blocks.len(), self.nodes, &mut sink);
+        sink.node_count
     }
 }
 
-struct BlockSink;
+struct BlockSink {
+    node_count: usize,
+}
 
 impl<S: Simd> LeafSink<S> for BlockSink {
     const LEAF_MAX: usize = 1;
+    const ONE_PLANE: bool = true;
 
     #[inline(always)]
-    fn leaf(&mut self, _: S, _: usize, order: &[u32]) -> (Child, f32) {
+    fn inner(&mut self, index: usize) -> Child {
+        self.node_count = index + 1;
+        Child::node(index as u32)
+    }
+
+    #[inline(always)]
+    fn leaf(&mut self, _: S, order: &[u32]) -> Child {
         debug_assert_eq!(order.len(), 1);
-        (Child::block(order[0]), 0.0)
+        Child::block(order[0])
     }
 }

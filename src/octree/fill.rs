@@ -1,42 +1,45 @@
 //! Builds the fine tree of a decoded block into its slot.
 
-use super::build::{BuildScratch, LeafSink, build_tree};
+use super::build::{BuildScratch, Groups, LeafSink, build_groups};
 use super::fine::{FineLayout, HEADER_BYTES, Header};
 use super::frame::Frame;
-use super::node::{Child, Node};
+use super::node::{Child, Node, PLACE_BYTES};
 use crate::block::BlockData;
-use crate::simd::{LANES, Operation, Simd, SimdLevel, dispatch};
+use crate::model::BlockEntry;
+use crate::simd::{AnyOperation, LANES, PackedBoxes, Simd, SimdLevel, dispatch};
 
 /// Leaves hold at most this many triangles where the slot has room for enough nodes: two packets.
 const LEAF_TRIANGLES_MAX: usize = 16;
 
-/// Builds `data` into `slot`, which must have [`FineLayout::slot_bytes`] for it. Does not allocate.
+/// Builds `data`, the block that the directory's `entry` describes, into `slot`, which must have [`FineLayout::slot_bytes`] for it. Does not allocate.
 ///
 /// # Panics
 /// If the slot is too small or not aligned, or if `scratch` is too small.
 pub(crate) fn build(
     level: SimdLevel,
+    entry: &BlockEntry,
     data: &BlockData,
     layout: FineLayout,
     slot: &mut [u8],
     scratch: &mut BuildScratch,
 ) {
-    dispatch(level, Build { data, layout, slot, scratch });
+    dispatch(level, Build { entry, data, layout, slot, scratch });
 }
 
 struct Build<'a> {
+    entry: &'a BlockEntry,
     data: &'a BlockData,
     layout: FineLayout,
     slot: &'a mut [u8],
     scratch: &'a mut BuildScratch,
 }
 
-impl Operation for Build<'_> {
+impl AnyOperation for Build<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Build { data, layout, slot, scratch } = self;
+        let Build { entry, data, layout, slot, scratch } = self;
         let frame = Frame { base: data.base, scale: layout.scale };
         // Lattice and plain f32 blocks hold exact offsets; where the scale or the span spoils that, exact positions
         // are kept beside the rounded ones.
@@ -54,7 +57,6 @@ impl Operation for Build<'_> {
             long_ids: u32::from(last_id - least_id > u64::from(u32::MAX)),
             ..bytemuck::Zeroable::zeroed()
         };
-        header.lay_out();
         let vertex = |i: usize| -> [f32; 3] {
             if wide || layout.scale != 1.0 { frame.to_local(data.position(i)).0 } else { data.vertices[i] }
         };
@@ -83,86 +85,80 @@ impl Operation for Build<'_> {
             *place = simd.to_array(if wide { simd.sub(bounds, pad) } else { bounds });
         }
 
-        let (parts, nodes) = slot.split_at_mut(header.parts.nodes as usize);
-        let nodes = &mut nodes[..];
-        let node_room = nodes.len() / size_of::<Node>();
-        let nodes: &mut [Node] = bytemuck::cast_slice_mut(&mut nodes[..node_room * size_of::<Node>()]);
-        let mut sink = TriangleSink::new(data, &header, parts, scratch);
-        // `sink` borrows nothing of the scratch but the vertices, which it owns while the tree is built.
-        let (node_count, bounds) = build_tree(simd, scratch, count, nodes, &mut sink);
+        let (start, leaves) = slot.split_at_mut(header.leaves_start());
+        let (start, vertices) = start.split_at_mut(header.vertices_start());
+        let (start, wide) = start.split_at_mut(header.wide_start());
+        let nodes: &mut [Node] = bytemuck::cast_slice_mut(&mut start[HEADER_BYTES..]);
+        for (i, place) in bytemuck::cast_slice_mut::<u8, [f64; 3]>(wide).iter_mut().enumerate() {
+            *place = data.position(i);
+        }
+        if !layout.expanded {
+            let bytes = 12 * data.vertices.len();
+            let vertices = bytemuck::cast_slice_mut::<u8, [f32; 3]>(&mut vertices[..bytes]);
+            for (place, vertex) in vertices.iter_mut().zip(&scratch.vertices) {
+                *place = [vertex[0], vertex[1], vertex[2]];
+            }
+        }
+        let whole = leaves.len() & !(PLACE_BYTES - 1);
+        let mut sink = TriangleSink {
+            data,
+            // Taken from the scratch for the time of the build.
+            local: std::mem::take(&mut scratch.vertices),
+            header: &header,
+            leaves: bytemuck::cast_slice_mut(&mut leaves[..whole]),
+            next_word: 0,
+        };
+        let (low, high) = frame.box_to_local(&entry.bounds);
+        let mut boxes = PackedBoxes::new(low, high, &entry.sub_boxes).unpack();
+        // A triangle's box was padded; the sub-box that holds the triangle must still hold it.
+        for (row, sides) in boxes.iter_mut().enumerate() {
+            for side in sides {
+                *side += if row < 3 { -2.0 * header.vertex_error } else { 2.0 * header.vertex_error };
+            }
+        }
+        let Groups { children, used, bounds } = build_groups(simd, scratch, count, &boxes, nodes, &mut sink);
         scratch.vertices = sink.local;
-        header.node_count = node_count as u32;
+        (header.children, header.groups) = (children, used);
         header.low = [bounds[0], bounds[1], bounds[2]];
         header.high = [-bounds[4], -bounds[5], -bounds[6]];
         slot[..HEADER_BYTES].copy_from_slice(bytemuck::bytes_of(&header));
     }
 }
 
-/// Writes triangles leaf by leaf into the parts of a slot.
+/// Writes leaves one after the other.
 struct TriangleSink<'a> {
     data: &'a BlockData,
-    /// Vertices in the block's frame, as boxes; taken from the scratch for the time of the build.
+    /// Vertices in the block's frame, as boxes.
     local: Vec<[f32; LANES]>,
-    least_id: u64,
-    expanded: bool,
-    rows: &'a mut [f32],
-    indices: &'a mut [[u16; 3]],
-    short_ids: &'a mut [u32],
-    long_ids: &'a mut [u64],
-    materials: &'a mut [u16],
-}
-
-impl<'a> TriangleSink<'a> {
-    #[inline(always)]
-    fn new(
-        data: &'a BlockData,
-        header: &Header,
-        slot: &'a mut [u8],
-        scratch: &mut BuildScratch,
-    ) -> TriangleSink<'a> {
-        let local = std::mem::take(&mut scratch.vertices);
-        let parts = &header.parts;
-        let (slot, materials) = slot.split_at_mut(parts.materials as usize);
-        let (slot, indices) = slot.split_at_mut(parts.indices as usize);
-        let (slot, ids) = slot.split_at_mut(parts.ids as usize);
-        let (slot, vertices) = slot.split_at_mut(parts.vertices as usize);
-        let (slot, wide) = slot.split_at_mut(parts.wide as usize);
-        let rows = &mut slot[HEADER_BYTES..];
-
-        let wide = bytemuck::cast_slice_mut::<u8, [f64; 3]>(&mut wide[..]);
-        for (i, place) in wide.iter_mut().enumerate() {
-            *place = data.position(i);
-        }
-        let vertex_bytes = vertices.len() / 12 * 12;
-        let vertices = bytemuck::cast_slice_mut::<u8, [f32; 3]>(&mut vertices[..vertex_bytes]);
-        for (place, vertex) in vertices.iter_mut().zip(&local) {
-            *place = [vertex[0], vertex[1], vertex[2]];
-        }
-        let (short_ids, long_ids) = if header.long_ids == 1 {
-            (&mut [][..], bytemuck::cast_slice_mut(ids))
-        } else {
-            (bytemuck::cast_slice_mut(ids), &mut [][..])
-        };
-        TriangleSink {
-            data,
-            local,
-            least_id: header.least_id,
-            expanded: header.expanded == 1,
-            rows: bytemuck::cast_slice_mut(rows),
-            indices: bytemuck::cast_slice_mut(indices),
-            short_ids,
-            long_ids,
-            materials: bytemuck::cast_slice_mut(&mut materials[..2 * data.triangles.len()]),
-        }
-    }
+    header: &'a Header,
+    /// The slot's leaves, in words.
+    leaves: &'a mut [u32],
+    next_word: usize,
 }
 
 impl<S: Simd> LeafSink<S> for TriangleSink<'_> {
     const LEAF_MAX: usize = LEAF_TRIANGLES_MAX;
+    const ONE_PLANE: bool = false;
+
+    fn inner(&mut self, index: usize) -> Child {
+        Child::inner(((HEADER_BYTES + index * size_of::<Node>()) / PLACE_BYTES) as u32)
+    }
 
     #[inline(always)]
-    fn leaf(&mut self, simd: S, start: usize, order: &[u32]) -> (Child, f32) {
+    fn leaf(&mut self, simd: S, order: &[u32]) -> Child {
         let count = order.len();
+        let parts = self.header.leaf_parts(count);
+        let start = self.next_word;
+        let words = (parts.end.next_multiple_of(PLACE_BYTES)) / 4;
+        self.next_word += words;
+        let leaf = &mut self.leaves[start..start + words];
+        let (leaf, tail) = leaf.split_at_mut(parts.indices / 4);
+        let (ids, rows) = leaf.split_at_mut(parts.rows / 4);
+        let (edge, ids) = ids.split_at_mut(1);
+        let rows: &mut [f32] = bytemuck::cast_slice_mut(rows);
+        let (indices, materials) =
+            bytemuck::cast_slice_mut::<u32, u16>(tail).split_at_mut((parts.materials - parts.indices) / 2);
+        let indices: &mut [[u16; 3]] = bytemuck::cast_slice_mut(indices);
         let mut longest = simd.splat(0.0);
         for (i, triangle) in order.iter().enumerate() {
             let triangle = *triangle as usize;
@@ -174,27 +170,32 @@ impl<S: Simd> LeafSink<S> for TriangleSink<'_> {
             // Lanes 0 to 2 hold the vertex and 4 to 6 its negative: the difference is the edge, exactly negated too.
             let (ab, ac) = (simd.sub(simd.load(b), simd.load(a)), simd.sub(simd.load(c), simd.load(a)));
             longest = simd.max(simd.max(ab, ac), longest);
-            if self.expanded {
-                let rows = &mut self.rows[9 * start..9 * (start + count)];
-                for axis in 0..3 {
-                    rows[axis * count + i] = a[axis];
-                    rows[(axis + 3) * count + i] = b[axis];
-                    rows[(axis + 6) * count + i] = c[axis];
-                }
+            if !rows.is_empty() {
+                // The last row reaches furthest: one check for all.
+                let column = &mut rows[i..i + 8 * count + 1];
+                column[0] = a[0];
+                column[count] = a[1];
+                column[2 * count] = a[2];
+                column[3 * count] = b[0];
+                column[4 * count] = b[1];
+                column[5 * count] = b[2];
+                column[6 * count] = c[0];
+                column[7 * count] = c[1];
+                column[8 * count] = c[2];
             }
-            if !self.indices.is_empty() {
-                self.indices[start + i] = corners;
+            if !indices.is_empty() {
+                indices[i] = corners;
             }
-            let id = self.data.ids[triangle];
-            if self.long_ids.is_empty() {
-                // Ids ascend and the span fits in 32 bits.
-                self.short_ids[start + i] = (id - self.least_id) as u32;
+            let offset = self.data.ids[triangle] - self.header.least_id;
+            if self.header.long_ids == 1 {
+                (ids[2 * i], ids[2 * i + 1]) = (offset as u32, (offset >> 32) as u32);
             } else {
-                self.long_ids[start + i] = id;
+                ids[i] = offset as u32;
             }
-            self.materials[start + i] = self.data.materials[triangle];
+            materials[i] = self.data.materials[triangle];
         }
-        let edge = simd.to_array(longest).into_iter().fold(0.0, f32::max);
-        (Child::triangles(start as u32, count as u32), edge)
+        edge[0] = simd.to_array(longest).into_iter().fold(0.0, f32::max).to_bits();
+        let place = (self.header.leaves_start() + 4 * start) / PLACE_BYTES;
+        Child::triangles(place as u32, count as u32)
     }
 }

@@ -4,20 +4,27 @@
 //!
 //! | part | bytes | when |
 //! |---|---|---|
-//! | header | 128 | always |
-//! | rows: nine f32 per triangle, leaf by leaf, `a.x` of all its triangles first | 36 per triangle | expanded |
+//! | header, with the first node or leaf of each of the block's sub-boxes | 128 | always |
+//! | nodes | 256 each; room for [`FineLayout::node_count_max`] | always |
 //! | exact vertices: f64 x, y, z | 24 per vertex | where f32 offsets are not exact |
 //! | vertices: f32 x, y, z | 12 per vertex | indexed |
-//! | ids: source ordinals, as offsets from the least if all fit in 32 bits | 4 or 8 per triangle | always |
-//! | vertex indices: three u16 | 6 per triangle | indexed, or where f32 offsets are not exact |
-//! | materials: u16 | 2 per triangle | always |
-//! | nodes | 256 each | always |
+//! | leaves, each at a multiple of 16 bytes | | always |
 //!
-//! Everything is in native byte order: a slot never leaves the process. Triangles are in the order of the leaves.
+//! A leaf of `n` triangles holds what deciding and reporting a hit on them takes, so that it costs one wait for memory:
+//!
+//! | part of a leaf | bytes | when |
+//! |---|---|---|
+//! | a bound on the magnitude of its edge components: f32 | 4 | always |
+//! | ids: source ordinals, as offsets from the block's least if all fit in 32 bits, else low and high halves | 4 n or 8 n | always |
+//! | rows: nine f32 per triangle, `a.x` of all first, then `a.y`, ... `c.z` | 36 n | expanded |
+//! | vertex indices: three u16 | 6 n | indexed, or where f32 offsets are not exact |
+//! | materials: u16 | 2 n | always |
+//!
+//! Everything is in native byte order: a slot never leaves the process.
 
 use super::frame::Frame;
-use super::node::Node;
-use crate::simd::LANES;
+use super::node::{Child, Node, PLACE_BYTES};
+use crate::simd::{LANES, Packet, Simd};
 use crate::units::{Bytes, MaterialId, TriangleId};
 
 /// How a model's slots are laid out; the same for all its blocks.
@@ -32,65 +39,76 @@ pub(crate) struct FineLayout {
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Header {
-    pub base: [f64; 3],
-    pub scale: f64,
-    pub least_id: u64,
+    /// The trees of the block's sub-boxes, and a bit for each that has triangles.
+    pub children: [Child; LANES],
+    pub groups: u32,
+    /// How far f32 vertices are off, per axis; 0 where they are exact.
+    pub vertex_error: f32,
     /// Corners of the block in its frame.
     pub low: [f32; 3],
     pub high: [f32; 3],
-    /// How far f32 vertices are off, per axis; 0 where they are exact.
-    pub vertex_error: f32,
+    pub base: [f64; 3],
+    pub scale: f64,
+    pub least_id: u64,
     pub triangle_count: u32,
     pub vertex_count: u32,
-    pub node_count: u32,
     /// 1 or 0.
     pub expanded: u32,
-    /// 1 if exact f64 vertices follow the rows.
+    /// 1 if leaves name vertices by index and exact f64 vertices are there.
     pub wide: u32,
     /// 1 if ids are 64-bit.
     pub long_ids: u32,
-    pub parts: Parts,
-    pub _padding: [u32; 3],
+    pub _padding: u32,
 }
 
 pub(super) const HEADER_BYTES: usize = size_of::<Header>();
 
-/// Where the parts of a slot begin, in bytes.
-#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-#[repr(C)]
-pub(super) struct Parts {
-    pub wide: u32,
-    pub vertices: u32,
-    pub ids: u32,
-    pub indices: u32,
-    pub materials: u32,
-    pub nodes: u32,
-}
-
 impl Header {
-    /// Sets `parts` from the counts and flags.
-    pub fn lay_out(&mut self) {
-        let [triangles, vertices] = [self.triangle_count, self.vertex_count];
-        let wide = (HEADER_BYTES as u32 + self.expanded * 36 * triangles).next_multiple_of(8);
-        let vertices_start = wide + self.wide * 24 * vertices;
-        let ids = (vertices_start + (1 - self.expanded) * 12 * vertices).next_multiple_of(8);
-        let indices = ids + triangles * (4 + 4 * self.long_ids);
-        let materials = indices + (self.wide | (1 - self.expanded)) * 6 * triangles;
-        let nodes = (materials + 2 * triangles).next_multiple_of(64);
-        self.parts = Parts { wide, vertices: vertices_start, ids, indices, materials, nodes };
+    /// Where the exact vertices begin, in bytes.
+    pub fn wide_start(&self) -> usize {
+        let nodes = FineLayout::node_count_max(self.triangle_count as usize);
+        HEADER_BYTES + nodes * size_of::<Node>()
+    }
+
+    /// Where the f32 vertices begin.
+    pub fn vertices_start(&self) -> usize {
+        self.wide_start() + self.wide as usize * 24 * self.vertex_count as usize
+    }
+
+    /// Where the leaves begin.
+    pub fn leaves_start(&self) -> usize {
+        let vertices = (1 - self.expanded as usize) * 12 * self.vertex_count as usize;
+        (self.vertices_start() + vertices).next_multiple_of(PLACE_BYTES)
+    }
+
+    /// The parts of a leaf of `count` triangles, in bytes from its start.
+    #[inline(always)]
+    pub fn leaf_parts(&self, count: usize) -> LeafParts {
+        let rows = 4 + count * (4 + 4 * self.long_ids as usize);
+        let indices = rows + count * 36 * self.expanded as usize;
+        let materials = indices + count * 6 * (self.wide | (1 - self.expanded)) as usize;
+        LeafParts { rows, indices, materials, end: materials + 2 * count }
     }
 }
 
+/// See [`Header::leaf_parts`].
+pub(super) struct LeafParts {
+    pub rows: usize,
+    pub indices: usize,
+    pub materials: usize,
+    pub end: usize,
+}
+
 impl FineLayout {
-    /// Nodes that any block's tree gets if it needs them; with fewer its leaves would grow. Real blocks need a half.
-    fn node_count_max(triangles: usize) -> usize {
+    /// Nodes that a block's tree may have: with fewer than it needs its leaves grow. Real blocks need two thirds.
+    pub fn node_count_max(triangles: usize) -> usize {
         8 + triangles / 24
     }
 
     /// Bytes into which any block with at most so many triangles and vertices can be built. `wide`: some block's f32
     /// offsets are not exact.
     pub fn slot_bytes(self, triangles: usize, vertices: usize, wide: bool) -> Bytes {
-        let mut header = Header {
+        let header = Header {
             triangle_count: triangles as u32,
             vertex_count: vertices as u32,
             expanded: u32::from(self.expanded),
@@ -98,19 +116,25 @@ impl FineLayout {
             long_ids: 1,
             ..bytemuck::Zeroable::zeroed()
         };
-        header.lay_out();
-        Bytes(u64::from(header.parts.nodes) + (Self::node_count_max(triangles) * size_of::<Node>()) as u64)
+        // Every node but the root takes the place of a leaf and brings at most eight.
+        let leaves = triangles.min(7 * Self::node_count_max(triangles) + 1);
+        // Each leaf has its edge bound and up to 15 bytes of alignment.
+        let bytes = header.leaves_start()
+            + header.leaf_parts(triangles).end
+            + leaves * (4 + PLACE_BYTES - 1)
+            + OVERREAD_BYTES;
+        Bytes(bytes as u64)
     }
 }
 
-/// A triangle of a slot: which leaf it is in and where in the leaf.
+/// The last packet's loads reach up to seven lanes past the last row.
+const OVERREAD_BYTES: usize = 4 * LANES;
+
+/// A triangle of a slot.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TriangleLocation {
-    /// First triangle of the leaf.
-    pub start: usize,
-    /// Triangles in the leaf.
-    pub count: usize,
-    /// Which of them.
+    pub leaf: Child,
+    /// Which triangle of the leaf.
     pub lane: usize,
 }
 
@@ -118,11 +142,8 @@ pub(crate) struct TriangleLocation {
 #[derive(Clone, Copy)]
 pub(crate) struct Fine<'a> {
     header: &'a Header,
-    pub nodes: &'a [Node],
-    /// Empty unless expanded.
-    pub rows: &'a [f32],
-    /// Everything behind the header, for the rare reads.
-    slot: &'a [u8],
+    /// The slot as 32-bit words.
+    words: &'a [u32],
 }
 
 impl<'a> Fine<'a> {
@@ -131,13 +152,8 @@ impl<'a> Fine<'a> {
     #[inline(always)]
     pub fn new(slot: &'a [u8]) -> Fine<'a> {
         let header: &Header = bytemuck::from_bytes(&slot[..HEADER_BYTES]);
-        let nodes_start = header.parts.nodes as usize;
-        let nodes_end = nodes_start + header.node_count as usize * size_of::<Node>();
-        let nodes = bytemuck::cast_slice(&slot[nodes_start..nodes_end]);
-        // The last packet's loads reach up to seven lanes past the last row; nodes always follow.
-        let row_bytes = header.expanded as usize * (36 * header.triangle_count as usize + 4 * LANES);
-        let rows = bytemuck::cast_slice(&slot[HEADER_BYTES..HEADER_BYTES + row_bytes]);
-        Fine { header, nodes, rows, slot }
+        let words = bytemuck::cast_slice(&slot[..slot.len() & !3]);
+        Fine { header, words }
     }
 
     pub fn frame(&self) -> Frame {
@@ -155,24 +171,52 @@ impl<'a> Fine<'a> {
         self.header.vertex_error
     }
 
+    /// The trees of the block's sub-boxes, and which of them have triangles.
     #[inline(always)]
-    pub fn is_expanded(&self) -> bool {
-        self.header.expanded == 1
+    pub fn groups(&self) -> (&'a [Child; LANES], u32) {
+        (&self.header.children, self.header.groups)
     }
 
-    /// Local f32 vertices. Empty if expanded.
+    /// An inner child.
     #[inline(always)]
-    pub fn vertices(&self) -> &'a [[f32; 3]] {
-        let parts = &self.header.parts;
-        let bytes = (1 - self.header.expanded as usize) * 12 * self.header.vertex_count as usize;
-        bytemuck::cast_slice(&self.slot[parts.vertices as usize..][..bytes])
+    pub fn node(&self, child: Child) -> &'a Node {
+        // The address is what the next step waits for, so it is one shift away from the child.
+        let start = child.inner_place() * (PLACE_BYTES / 4);
+        bytemuck::from_bytes(bytemuck::cast_slice(&self.words[start..start + size_of::<Node>() / 4]))
     }
 
-    /// Vertex indices of each triangle. Empty if expanded and exact.
+    /// The bound on the magnitude of a leaf's edge components.
     #[inline(always)]
-    pub fn indices(&self) -> &'a [[u16; 3]] {
-        let parts = &self.header.parts;
-        bytemuck::cast_slice(&self.slot[parts.indices as usize..parts.materials as usize])
+    pub fn edge(&self, leaf: Child) -> f32 {
+        f32::from_bits(self.words[leaf.place() * (PLACE_BYTES / 4)])
+    }
+
+    /// Eight triangles of a leaf, from the one at `first` on. Lanes from the leaf's count on hold anything.
+    #[inline(always)]
+    pub fn packet<S: Simd, const EXPANDED: bool>(&self, simd: S, leaf: Child, first: usize) -> Packet<S> {
+        let count = leaf.triangle_count();
+        let start = leaf.place() * (PLACE_BYTES / 4);
+        let rows = start + 1 + count * (1 + self.header.long_ids as usize);
+        if EXPANDED {
+            Packet::from_rows(simd, bytemuck::cast_slice(self.words), rows, count, first)
+        } else {
+            let indices = &self.indices(leaf)[first..];
+            Packet::from_indices(simd, self.vertices(), indices)
+        }
+    }
+
+    fn vertices(&self) -> &'a [[f32; 3]] {
+        let count = (1 - self.header.expanded as usize) * self.header.vertex_count as usize;
+        bytemuck::cast_slice(&self.words[self.header.vertices_start() / 4..][..3 * count])
+    }
+
+    /// Vertex indices of a leaf. Empty if expanded and exact.
+    #[inline(always)]
+    fn indices(&self, leaf: Child) -> &'a [[u16; 3]] {
+        let parts = self.header.leaf_parts(leaf.triangle_count());
+        let halves: &[u16] = bytemuck::cast_slice(self.words);
+        let start = leaf.place() * (PLACE_BYTES / 2);
+        bytemuck::cast_slice(&halves[start + parts.indices / 2..start + parts.materials / 2])
     }
 
     /// The exact vertices of a triangle.
@@ -180,29 +224,30 @@ impl<'a> Fine<'a> {
     pub fn exact_vertices(&self, at: TriangleLocation) -> [[f64; 3]; 3] {
         let header = self.header;
         if header.expanded == 1 && header.wide == 0 {
-            let first = 9 * at.start + at.lane;
-            let row = |r: usize| self.rows[first + r * at.count];
+            let count = at.leaf.triangle_count();
+            let start = at.leaf.place() * (PLACE_BYTES / 4) + 1 + count * (1 + header.long_ids as usize);
+            // The last row reaches furthest: one check for all.
+            let rows: &[f32] = bytemuck::cast_slice(&self.words[start + at.lane..][..8 * count + 1]);
             return [
-                self.to_model([row(0), row(1), row(2)]),
-                self.to_model([row(3), row(4), row(5)]),
-                self.to_model([row(6), row(7), row(8)]),
+                self.model_position([rows[0], rows[count], rows[2 * count]]),
+                self.model_position([rows[3 * count], rows[4 * count], rows[5 * count]]),
+                self.model_position([rows[6 * count], rows[7 * count], rows[8 * count]]),
             ];
         }
-        let [a, b, c] = self.indices()[at.start + at.lane];
+        let [a, b, c] = self.indices(at.leaf)[at.lane];
         let [a, b, c] = [usize::from(a), usize::from(b), usize::from(c)];
         if header.wide == 1 {
-            let parts = &header.parts;
-            let bytes = &self.slot[parts.wide as usize..][..24 * header.vertex_count as usize];
-            let vertices: &[[f64; 3]] = bytemuck::cast_slice(bytes);
+            let words = &self.words[header.wide_start() / 4..][..6 * header.vertex_count as usize];
+            let vertices: &[[f64; 3]] = bytemuck::cast_slice(words);
             return [vertices[a], vertices[b], vertices[c]];
         }
         let vertices = self.vertices();
-        [self.to_model(vertices[a]), self.to_model(vertices[b]), self.to_model(vertices[c])]
+        [self.model_position(vertices[a]), self.model_position(vertices[b]), self.model_position(vertices[c])]
     }
 
     /// Exact wherever the slot has no separate exact vertices: the builder checked.
     #[inline(always)]
-    fn to_model(&self, local: [f32; 3]) -> [f64; 3] {
+    fn model_position(self, local: [f32; 3]) -> [f64; 3] {
         // The scale is a power of two whose inverse is one too, so the product with it is exact.
         let inverse = if self.header.scale == 1.0 { 1.0 } else { 1.0 / self.header.scale };
         let base = &self.header.base;
@@ -215,22 +260,20 @@ impl<'a> Fine<'a> {
 
     #[inline(always)]
     pub fn id(&self, at: TriangleLocation) -> TriangleId {
-        let parts = &self.header.parts;
-        let index = at.start + at.lane;
-        let bytes = &self.slot[parts.ids as usize..parts.indices as usize];
-        if self.header.long_ids == 1 {
-            TriangleId(bytemuck::cast_slice::<u8, u64>(bytes)[index])
+        let start = at.leaf.place() * (PLACE_BYTES / 4) + 1;
+        let offset = if self.header.long_ids == 1 {
+            let at = start + 2 * at.lane;
+            u64::from(self.words[at]) | u64::from(self.words[at + 1]) << 32
         } else {
-            TriangleId(self.header.least_id + u64::from(bytemuck::cast_slice::<u8, u32>(bytes)[index]))
-        }
+            u64::from(self.words[start + at.lane])
+        };
+        TriangleId(self.header.least_id + offset)
     }
 
     #[inline(always)]
     pub fn material(&self, at: TriangleLocation) -> MaterialId {
-        let parts = &self.header.parts;
-        let materials: &[u16] = bytemuck::cast_slice(
-            &self.slot[parts.materials as usize..][..2 * self.header.triangle_count as usize],
-        );
-        MaterialId(materials[at.start + at.lane])
+        let parts = self.header.leaf_parts(at.leaf.triangle_count());
+        let halves: &[u16] = bytemuck::cast_slice(self.words);
+        MaterialId(halves[at.leaf.place() * (PLACE_BYTES / 2) + parts.materials / 2 + at.lane])
     }
 }

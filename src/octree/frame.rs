@@ -5,7 +5,7 @@
 //! products would leave their range. Where anything is rounded, it is rounded outward.
 
 use crate::geom::{Aabb, Ray, RayFrame, round_down_f32, round_up_f32};
-use crate::simd::{BoxRay, ErrorBounds, Interval, LANES, ParallelAxes, Simd, TriangleRay};
+use crate::simd::{BoxRay, ErrorBounds, Interval, LANES, Parallel, ParallelAxes, Simd, TriangleRay};
 
 /// The f32 space of one tree.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,6 +70,7 @@ pub(crate) struct Space {
     /// from where they start.
     near_low: [f32; LANES],
     near_high: [f32; LANES],
+    parallel: Parallel,
 }
 
 impl Space {
@@ -80,11 +81,14 @@ impl Space {
             near.0[axis] = ((bounds.min[axis] - margin - frame.base[axis]) * frame.scale) as f32;
             near.1[axis] = ((bounds.max[axis] + margin - frame.base[axis]) * frame.scale) as f32;
         }
+        let reach = (0..3).fold(0.0f32, |reach, axis| reach.max(near.0[axis].abs()).max(near.1[axis].abs()));
+        // Three more for the bases of blocks and for parameters, which are not along an axis.
+        let parallel = Parallel::new((reach.to_bits() >> 23) as i32 - 127 + 4);
         if frame.scale > power_of_two(60) {
             // The exact ray's rounding of its origin could show: prepare every ray with care.
             near = ([f32::NAN; LANES], [f32::NAN; LANES]);
         }
-        Space { bounds, frame, near_low: near.0, near_high: near.1 }
+        Space { bounds, frame, near_low: near.0, near_high: near.1, parallel }
     }
 }
 
@@ -142,7 +146,7 @@ pub(crate) fn prepare<S: Simd>(
     );
     let plain = (exponent.abs() <= 60)
         & (simd.bits(near) & 7 == 7)
-        & BoxRay::is_oblique(simd, lanes)
+        & BoxRay::is_oblique(simd, lanes, &space.parallel)
         & (ray.t_min >= 0.0)
         & (ray.t_min <= ray.t_max)
         & (ray.t_min < f64::INFINITY);
@@ -218,7 +222,7 @@ impl Careful {
             query.approach(direction, space);
         }
         let error = (query.origin_error + COORDINATE_ROUNDING) * space.frame.scale;
-        let parallel = ParallelAxes::new(direction, error as f32 * (1.0 + 1e-6));
+        let parallel = ParallelAxes::new(direction, error as f32 * (1.0 + 1e-6), &space.parallel);
         Careful { query, direction: direction.map(|x| x as f32), parallel, invalid }
     }
 }
@@ -247,14 +251,15 @@ impl QueryRay {
         let bounds = &space.bounds;
         let margin = 0.5 * bounds.extent().iter().fold(0.0f64, |largest, x| largest.max(*x));
         let mut entry = 0.0f64;
-        for axis in 0..3 {
-            let d = direction[axis];
+        for (axis, d) in direction.into_iter().enumerate() {
             let plane = if d > 0.0 { bounds.min[axis] - margin } else { bounds.max[axis] + margin };
             let t = (plane - self.origin[axis]) / d;
             if t.is_finite() && t > entry {
                 entry = t;
             }
         }
+        // A little before the entry, whatever the rounding: no hit is behind the start.
+        entry *= 1.0 - 1.0 / (1u64 << 45) as f64;
         let moved = [0, 1, 2].map(|axis| self.origin[axis] + entry * direction[axis]);
         // Product and sum round once each; doubled for the rounding of the bound itself.
         let error = (0..3).fold(f64::MIN_POSITIVE, |error, axis| {
@@ -268,20 +273,20 @@ impl QueryRay {
     }
 
     #[inline(always)]
-    fn to_local(&self, t: f64) -> f64 {
+    fn local_parameter(&self, t: f64) -> f64 {
         t * self.t_factors[0] * self.t_factors[1] - self.t_start
     }
 
     /// The parameter of a local one, rounded.
     #[inline(always)]
-    pub fn from_local(&self, local: f32) -> f64 {
+    pub fn ray_parameter(&self, local: f32) -> f64 {
         (f64::from(local) + self.t_start) / self.t_factors[1] / self.t_factors[0]
     }
 
     /// At least the local parameter of `t`, by a factor of `1 + 2^-20` or more, and greater than 0.
     #[inline(always)]
     pub fn local_high(&self, t: f64) -> f32 {
-        let local = self.to_local(t) + self.t_start * MARGIN_F64;
+        let local = self.local_parameter(t) + self.t_start * MARGIN_F64;
         let high = local as f32 * (1.0 + MARGIN) + f32::MIN_POSITIVE;
         // Hits beyond the range of f64 all have t = f64::MAX; NaN is infinity minus infinity.
         if t >= f64::MAX || high.is_nan() {
@@ -293,25 +298,20 @@ impl QueryRay {
         }
     }
 
-    /// At most the local parameter of `t`, by a factor of `1 - 2^-20` or more; `-inf` instead of a negative number.
+    /// At most the local parameter of `t`, by a factor of `1 - 2^-20` or more, or 0: no part of the model is before the
+    /// start of the traversal.
     #[inline(always)]
     pub fn local_low(&self, t: f64) -> f32 {
-        let local = self.to_local(t) - self.t_start * MARGIN_F64;
+        let local = self.local_parameter(t) - self.t_start * MARGIN_F64;
         let low = local as f32 * (1.0 - MARGIN) - f32::MIN_POSITIVE;
         // NaN is infinity minus infinity. What overflows is clamped to a number that no infinity is below.
-        if low >= 0.0 {
-            low.min(f32::MAX)
-        } else if local == 0.0 {
-            0.0
-        } else {
-            f32::NEG_INFINITY
-        }
+        if low > 0.0 { low.min(f32::MAX) } else { 0.0 }
     }
 
     /// An interval that certainly lies inside `t_min ..= t_max`.
     #[inline(always)]
     pub fn local_inner(&self, t_min: f64, t_max: f64) -> (f32, f32) {
-        let local = self.to_local(t_max) - self.t_start * MARGIN_F64;
+        let local = self.local_parameter(t_max) - self.t_start * MARGIN_F64;
         let high = local as f32 * (1.0 - MARGIN) - f32::MIN_POSITIVE;
         (self.local_high(t_min), if high > 0.0 { high.min(f32::MAX) } else { -1.0 })
     }
@@ -369,8 +369,7 @@ impl<S: Simd> LocalRay<S> {
     /// triangle is rejected.
     #[inline(always)]
     fn forget_origin_if_lost(&mut self, simd: S) {
-        // Written so that NaN is caught.
-        if !(self.origin_error < LOCAL_MAX) {
+        if self.origin_error.is_nan() || self.origin_error >= LOCAL_MAX {
             self.boxes.set_origin_unknown(simd);
             self.triangles.origin = simd.splat3([0.0; 3]);
             (self.origin, self.origin_error) = ([0.0; 3], f32::INFINITY);

@@ -9,6 +9,7 @@ mod frame;
 mod lazy;
 mod node;
 mod options;
+mod sah;
 mod touched;
 
 pub use lazy::LazyOctree;
@@ -19,4 +20,4 @@ pub(crate) use fill::build;
 pub(crate) use fine::{Fine, TriangleLocation};
 pub(crate) use frame::{LocalRay, QueryRay, prepare, splat_interval};
 pub(crate) use lazy::{TracerPermit, tracer_bytes};
-pub(crate) use node::{Child, Node, ROOT, STACK_MAX};
+pub(crate) use node::{Child, STACK_MAX};

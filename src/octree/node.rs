@@ -2,15 +2,12 @@
 
 use crate::simd::{Boxes, LANES};
 
-/// The first node of a tree.
-pub(crate) const ROOT: u32 = 0;
-
 /// No tree is deeper: after this many levels of planes the builder splits by order, into eighths.
 pub(super) const PLANE_DEPTH_MAX: u32 = 24;
 
 /// Room for a traversal of both levels: each level of a tree leaves at most seven children waiting. Splitting by order
 /// ends within 11 levels for 2^31 primitives.
-pub(crate) const STACK_MAX: usize = 2 * 7 * (PLANE_DEPTH_MAX as usize + 12);
+pub(crate) const STACK_MAX: usize = 2 * (7 * (PLANE_DEPTH_MAX as usize + 12) + 2);
 
 /// Eight children with tight boxes, in 256 bytes.
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
@@ -20,8 +17,7 @@ pub(crate) struct Node {
     pub bounds: Boxes,
     /// What each child is.
     pub children: [Child; LANES],
-    /// For a leaf child of a fine tree: a bound on the magnitude of its triangles' edge components.
-    pub edges: [f32; LANES],
+    pub _padding: [u32; LANES],
 }
 
 impl Node {
@@ -36,19 +32,31 @@ impl Node {
             [f32::NEG_INFINITY; LANES],
         ],
         children: [Child(0); LANES],
-        edges: [0.0; LANES],
+        _padding: [0; LANES],
     };
 }
 
-/// An inner node by index, or a leaf: a block in the coarse tree, a run of triangles in a fine one.
+/// An inner node, or a leaf: a block in the coarse tree, a run of triangles in a fine one.
+///
+/// In a coarse tree it holds the number of the node or block. In a fine one it holds where the node or leaf lies in the
+/// slot, in units of 16 bytes, and how many triangles the leaf has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(transparent)]
 pub(crate) struct Child(pub u32);
 
 const LEAF: u32 = 1 << 31;
-const START_BITS: u32 = 15;
+const PLACE_BITS: u32 = 17;
+/// Unit of places in a slot.
+pub(super) const PLACE_BYTES: usize = 16;
 
 impl Child {
+    /// No child: a leaf that no tree has, with more triangles or a greater number than any.
+    pub const NONE: Child = Child(u32::MAX);
+
+    /// The first node of a coarse tree.
+    pub const COARSE_ROOT: Child = Child(0);
+
+    /// A coarse node.
     pub fn node(index: u32) -> Child {
         debug_assert!(index < LEAF);
         Child(index)
@@ -59,10 +67,17 @@ impl Child {
         Child(LEAF | block)
     }
 
-    /// A block holds at most 16,384 triangles, so both numbers fit.
-    pub fn triangles(start: u32, count: u32) -> Child {
-        debug_assert!(start < 1 << START_BITS && count < 1 << START_BITS);
-        Child(LEAF | count << START_BITS | start)
+    /// A fine node at a place.
+    pub fn inner(place: u32) -> Child {
+        debug_assert!(place < 1 << PLACE_BITS);
+        Child(place)
+    }
+
+    /// A leaf of a fine tree at a place. A slot has less than 2 MiB, and no leaf as many as the 16,384
+    /// triangles that a block can hold: the root always splits.
+    pub fn triangles(place: u32, count: u32) -> Child {
+        debug_assert!(place < 1 << PLACE_BITS && count < 1 << (31 - PLACE_BITS));
+        Child(LEAF | count << PLACE_BITS | place)
     }
 
     #[inline(always)]
@@ -80,10 +95,21 @@ impl Child {
         self.0 & !LEAF
     }
 
-    /// First triangle and count.
+    /// Place of a fine node.
     #[inline(always)]
-    pub fn triangle_range(self) -> (usize, usize) {
-        let mask = (1 << START_BITS) - 1;
-        ((self.0 & mask) as usize, (self.0 >> START_BITS & mask) as usize)
+    pub fn inner_place(self) -> usize {
+        self.0 as usize
+    }
+
+    /// Place of a fine node or leaf.
+    #[inline(always)]
+    pub fn place(self) -> usize {
+        (self.0 & ((1 << PLACE_BITS) - 1)) as usize
+    }
+
+    /// Triangles of a fine leaf.
+    #[inline(always)]
+    pub fn triangle_count(self) -> usize {
+        ((self.0 & !LEAF) >> PLACE_BITS) as usize
     }
 }

@@ -66,7 +66,6 @@ impl Shape for Soup {
 mod tests {
     use super::*;
     use crate::import::MeshBuffer;
-    use crate::procedural::open_edges;
 
     #[test]
     fn counts_range_and_determinism() {

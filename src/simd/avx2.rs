@@ -18,17 +18,6 @@ impl Avx2 {
     pub fn detect() -> Option<Avx2> {
         (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Avx2 { _proof: () })
     }
-
-    /// Runs `operation` in a function compiled for AVX2 and FMA.
-    #[inline]
-    pub(super) fn enter<O: Operation>(self, operation: O) -> O::Output {
-        #[target_feature(enable = "avx2,fma")]
-        fn inside<O: Operation>(token: Avx2, operation: O) -> O::Output {
-            operation.run(token)
-        }
-        // SAFETY: a token exists only if `detect` found both features.
-        unsafe { inside(self, operation) }
-    }
 }
 
 /// Calls an intrinsic that touches no memory.
@@ -43,6 +32,16 @@ impl Simd for Avx2 {
     type F = __m256;
     type M = __m256;
 
+    #[inline(always)]
+    fn enter<O: Operation<Avx2>>(self, operation: O) -> O::Output {
+        #[target_feature(enable = "avx2,fma")]
+        #[inline(never)]
+        fn inside<O: Operation<Avx2>>(token: Avx2, operation: O) -> O::Output {
+            operation.run(token)
+        }
+        // SAFETY: a token exists only if `detect` found both features.
+        unsafe { inside(self, operation) }
+    }
     #[inline(always)]
     fn splat(self, x: f32) -> __m256 {
         pure!(_mm256_set1_ps(x))
@@ -137,10 +136,5 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn bits(self, m: __m256) -> u32 {
         pure!(_mm256_movemask_ps(m)) as u32
-    }
-    #[inline(always)]
-    fn prefetch<T>(self, x: &T) {
-        // SAFETY: a prefetch has no effect on memory and `x` is a valid address.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(x).cast()) }
     }
 }

@@ -1,10 +1,12 @@
 //! One ray against eight boxes.
 //!
-//! The test never misses a box that the ray meets (I3). For each axis the entry is `(near - o) * inv`: the subtraction and
-//! the product round once each, the inverse twice (direction and quotient), so entry and exit are off by a factor of at
-//! most `(1 + u)^4` each, `u = 2^-24` (after Ize, "Robust BVH Ray Traversal", 2013). The exit's inverse is
-//! therefore scaled up by more than `(1 + u)^8`, and the origin is given as an interval, so that rounding it only
-//! widens the slabs.
+//! The test never misses a box that the ray meets (I3). With `u = 2^-24`, the inverse `i` of a direction rounds twice
+//! (direction and quotient). The entry of a slab is `plane * i - o * i`, with `o * i` rounded beforehand: as if the origin
+//! were `o (1 + e)`, `|e| <= u`. So all errors of the origin, that of its conversion to f32 too, are shifts of it by a few
+//! `u |o|`, and [`BoxRay::set_origin`] moves it by more than that towards earlier entries and later exits. What remains
+//! are a fused operation's rounding, or that of product and sum without one (of which `u |plane| <= u |plane - o| + u |o|`
+//! is another such shift), and those of the inverse: a factor of at most `(1 + u)^4` on entry and exit each (after Ize,
+//! "Robust BVH Ray Traversal", 2013), for which the exit's inverse is scaled up by more than `(1 + u)^8`.
 
 use super::lanes::{LANES, Simd};
 
@@ -27,12 +29,12 @@ pub struct BoxRay<S: Simd> {
 /// One axis of a ray.
 #[derive(Clone, Copy)]
 struct Axis<S: Simd> {
-    /// The end of the origin's interval that makes the entry earlier.
-    near_origin: S::F,
-    /// The end that makes the exit later.
-    far_origin: S::F,
+    /// Makes the entry into a slab from its nearer plane: `plane * near_inverse + near_offset`.
     near_inverse: S::F,
+    near_offset: S::F,
+    /// Makes the exit from the farther plane.
     far_inverse: S::F,
+    far_offset: S::F,
     /// Row of `Boxes` that the ray enters by, 0 ..= 5; the opposite row it leaves by. Kept in range by `set_direction`.
     near_row: usize,
     far_row: usize,
@@ -41,40 +43,58 @@ struct Axis<S: Simd> {
 /// More than `(1 + 2^-24)^8`, with room for the rounding of the product with it.
 const WIDEN: f32 = 1.0 + 1.0 / (1u32 << 20) as f32;
 
-/// Widens the origin so that products in the subnormal range, which lose absolute accuracy, cannot matter: next to
-/// numbers below 2^-96 it is larger than their rounding, and differences of larger f32 are 0 or at least 2^-120.
+/// Widens the origin so that results in the subnormal range, which lose absolute accuracy, cannot matter.
 const TINY: f32 = 1.0 / (1u128 << 120) as f32;
 
-/// More than a ray can drift on an axis with a direction below [`OBLIQUE_MIN`], with `t` at most 2^60 inside any model's frame.
-const DRIFT: f32 = 1.0 / (1u64 << 40) as f32;
+/// Eight roundings of an f32. Conversion, the shift itself, the product with the inverse and that of the plane take one each.
+const ORIGIN_ROUNDING: f32 = 1.0 / (1u32 << 21) as f32;
 
-/// A direction component as small as this is not [`BoxRay::is_oblique`].
-const OBLIQUE_MIN: f32 = 1.0 / (1u128 << 100) as f32;
+/// How directions that are almost or exactly along an axis are treated, for coordinates of a certain magnitude.
+#[derive(Clone, Copy, Debug)]
+pub struct Parallel {
+    /// A direction component below this is taken as parallel to the axis' planes.
+    pub below: f32,
+    /// What stands for its inverse: products with coordinates are finite.
+    inverse: f32,
+    /// More than a ray drifts on such an axis, and enough for products with `inverse` to be beyond the model.
+    widen: f32,
+}
 
-/// Twice the rounding of an f32, and more than that of the steps to it in f64.
-const ORIGIN_ROUNDING: f32 = 1.0 / (1u32 << 22) as f32;
+impl Parallel {
+    /// For coordinates and parameters below `2^exponent`; at most 48.
+    pub fn new(exponent: i32) -> Parallel {
+        let exponent = exponent.clamp(-48, 48);
+        let power = |exponent: i32| f32::from_bits(((127 + exponent.clamp(-126, 127)) as u32) << 23);
+        // With t below 2^exponent, the drift is below 2^(2 exponent - 110); and that times the inverse is 2^exponent.
+        Parallel {
+            below: power(exponent - 110),
+            inverse: power(110 - exponent),
+            widen: power(2 * exponent - 108) + TINY,
+        }
+    }
+}
 
 /// The axes along which a ray hardly moves, for [`BoxRay::set_direction`].
 #[derive(Clone, Copy, Debug)]
 pub struct ParallelAxes {
-    /// 1 in lanes whose axis is parallel, else 0.
-    mask: [f32; LANES],
+    /// What stands for the inverse on parallel axes, else 0.
+    inverse: [f32; LANES],
     widen: [f32; LANES],
 }
 
 impl ParallelAxes {
     /// For a direction that is oblique ([`BoxRay::is_oblique`]) and an origin that is exact before it is rounded to f32.
-    pub const NONE: ParallelAxes = ParallelAxes { mask: [0.0; LANES], widen: [TINY; LANES] };
+    pub const NONE: ParallelAxes = ParallelAxes { inverse: [0.0; LANES], widen: [TINY; LANES] };
 
     /// For any direction whose largest magnitude is in `1.0 .. 2.0`, and an origin that is off by `origin_error` per
     /// axis before it is rounded to f32.
-    pub fn new(direction: [f64; 3], origin_error: f32) -> ParallelAxes {
+    pub fn new(direction: [f64; 3], origin_error: f32, parallel: &Parallel) -> ParallelAxes {
         let mut axes = ParallelAxes::NONE;
-        for axis in 0..3 {
-            if direction[axis].abs() < f64::from(OBLIQUE_MIN) {
+        for (axis, component) in direction.into_iter().enumerate() {
+            if component.abs() < f64::from(parallel.below) {
                 // The slab holds the ray's origin, give or take the drift, or the ray never meets it.
-                axes.mask[axis] = 1.0;
-                axes.widen[axis] = if direction[axis] == 0.0 { TINY } else { DRIFT };
+                axes.inverse[axis] = parallel.inverse;
+                axes.widen[axis] = parallel.widen;
             }
             axes.widen[axis] += origin_error;
         }
@@ -83,10 +103,10 @@ impl ParallelAxes {
 }
 
 impl<S: Simd> BoxRay<S> {
-    /// Whether the direction in lanes 0 to 2 has no component so small that its inverse comes near overflow.
+    /// Whether the direction in lanes 0 to 2 is along no axis.
     #[inline(always)]
-    pub fn is_oblique(simd: S, direction: S::F) -> bool {
-        simd.bits(simd.le(simd.splat(OBLIQUE_MIN), simd.abs(direction))) & 7 == 7
+    pub fn is_oblique(simd: S, direction: S::F, parallel: &Parallel) -> bool {
+        simd.bits(simd.le(simd.splat(parallel.below), simd.abs(direction))) & 7 == 7
     }
 
     /// No ray yet: both setters are to be called.
@@ -94,10 +114,10 @@ impl<S: Simd> BoxRay<S> {
     pub fn unset(simd: S) -> BoxRay<S> {
         let zero = simd.splat(0.0);
         let axis = Axis {
-            near_origin: zero,
-            far_origin: zero,
             near_inverse: zero,
+            near_offset: zero,
             far_inverse: zero,
+            far_offset: zero,
             near_row: 0,
             far_row: 0,
         };
@@ -108,9 +128,9 @@ impl<S: Simd> BoxRay<S> {
     #[inline(always)]
     pub fn set_direction(&mut self, simd: S, direction: S::F, parallel: &ParallelAxes) {
         let zero = simd.splat(0.0);
-        // On a parallel axis 1 / 0: infinite, positive.
-        let is_parallel = simd.lt(zero, simd.load(&parallel.mask));
-        let inverse = simd.div(simd.splat(1.0), simd.select(is_parallel, zero, direction));
+        let stand_in = simd.load(&parallel.inverse);
+        let inverse = simd.div(simd.splat(1.0), direction);
+        let inverse = simd.select(simd.lt(zero, stand_in), stand_in, inverse);
         let negative = simd.bits(simd.lt(inverse, zero)) as usize;
         let near = simd.to_array(inverse);
         let far = simd.to_array(simd.mul(inverse, simd.splat(WIDEN)));
@@ -127,22 +147,24 @@ impl<S: Simd> BoxRay<S> {
         let step = simd.mul_add(simd.abs(origin), simd.splat(ORIGIN_ROUNDING), self.widen);
         // Entries are earlier and exits later if the origin is farther along the ray, and nearer, respectively.
         let step = simd.flip_sign(step, self.inverse);
-        self.set_origins(simd, simd.add(origin, step), simd.sub(origin, step));
+        let zero = simd.splat(0.0);
+        let far_inverse = simd.mul(self.inverse, simd.splat(WIDEN));
+        let near = simd.mul(simd.sub(zero, simd.add(origin, step)), self.inverse);
+        let far = simd.mul(simd.sub(step, origin), far_inverse);
+        self.set_offsets(simd, near, far);
     }
 
     /// Lets the origin be anywhere, so that every box passes but the empty ones.
     pub fn set_origin_unknown(&mut self, simd: S) {
-        // Finite, because the empty boxes' infinite corners must not meet an infinite origin.
-        let near = simd.flip_sign(simd.splat(f32::MAX), self.inverse);
-        self.set_origins(simd, near, simd.sub(simd.splat(0.0), near));
+        self.set_offsets(simd, simd.splat(f32::MIN), simd.splat(f32::MAX));
     }
 
     #[inline(always)]
-    fn set_origins(&mut self, simd: S, near: S::F, far: S::F) {
+    fn set_offsets(&mut self, simd: S, near: S::F, far: S::F) {
         let (near, far) = (simd.to_array(near), simd.to_array(far));
-        (self.x.near_origin, self.x.far_origin) = (simd.splat(near[0]), simd.splat(far[0]));
-        (self.y.near_origin, self.y.far_origin) = (simd.splat(near[1]), simd.splat(far[1]));
-        (self.z.near_origin, self.z.far_origin) = (simd.splat(near[2]), simd.splat(far[2]));
+        (self.x.near_offset, self.x.far_offset) = (simd.splat(near[0]), simd.splat(far[0]));
+        (self.y.near_offset, self.y.far_offset) = (simd.splat(near[1]), simd.splat(far[1]));
+        (self.z.near_offset, self.z.far_offset) = (simd.splat(near[2]), simd.splat(far[2]));
     }
 
     /// Tests eight boxes against the part of the ray between `t_min` and `t_max`. Bit `i` of the result is set if the
@@ -195,9 +217,9 @@ impl<S: Simd> Axis<S> {
     /// Narrows `near ..= far` to what lies between two planes.
     #[inline(always)]
     fn clip(&self, simd: S, (near_plane, far_plane): (S::F, S::F), near: &mut S::F, far: &mut S::F) {
-        let entry = simd.mul(simd.sub(near_plane, self.near_origin), self.near_inverse);
-        let exit = simd.mul(simd.sub(far_plane, self.far_origin), self.far_inverse);
-        // 0 * inf, a ray inside a slab's border plane, is NaN: `max` and `min` then keep their second operand.
+        let entry = simd.mul_add(near_plane, self.near_inverse, self.near_offset);
+        let exit = simd.mul_add(far_plane, self.far_inverse, self.far_offset);
+        // NaN, from infinities of opposite sign, adds no constraint: `max` and `min` then keep their second operand.
         *near = simd.max(entry, *near);
         *far = simd.min(exit, *far);
     }
@@ -225,8 +247,8 @@ impl PackedBoxes {
         for (lane, cell) in cells.iter().enumerate() {
             if (0..3).all(|axis| cell[axis] <= cell[axis + 3]) {
                 packed.used |= 1 << lane;
-                for row in 0..6 {
-                    packed.cells[row][lane] = cell[row];
+                for (row, cell) in packed.cells.iter_mut().zip(cell) {
+                    row[lane] = *cell;
                 }
             }
         }
@@ -248,6 +270,21 @@ impl PackedBoxes {
             packed.step[axis + 3] = step;
         }
         packed
+    }
+
+    /// The boxes as the test sees them.
+    pub fn unpack(&self) -> Boxes {
+        let mut boxes = [[f32::INFINITY; LANES]; 6];
+        for (row, sides) in boxes.iter_mut().enumerate() {
+            for (lane, side) in sides.iter_mut().enumerate() {
+                if self.used >> lane & 1 == 1 {
+                    *side = f32::from(self.cells[row][lane]) * self.step[row] + self.base[row];
+                } else if row >= 3 {
+                    *side = f32::NEG_INFINITY;
+                }
+            }
+        }
+        boxes
     }
 
     #[inline(always)]

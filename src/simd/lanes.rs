@@ -1,5 +1,7 @@
 //! The operations that kernels are written in, and the version of them that any CPU has.
 
+use super::level::Operation;
+
 /// Lanes of a vector.
 pub const LANES: usize = 8;
 
@@ -14,6 +16,9 @@ pub trait Simd: Copy {
     type F: Copy;
     /// Eight truth values.
     type M: Copy;
+
+    /// Runs `operation` in a function of its own, compiled for the instructions.
+    fn enter<O: Operation<Self>>(self, operation: O) -> O::Output;
 
     /// The same number in every lane.
     fn splat(self, x: f32) -> Self::F;
@@ -62,8 +67,6 @@ pub trait Simd: Copy {
     fn or(self, a: Self::M, b: Self::M) -> Self::M;
     /// Lane `i` as bit `i`.
     fn bits(self, m: Self::M) -> u32;
-    /// A hint that the cache line at `x` will be read soon.
-    fn prefetch<T>(self, x: &T);
 
     /// Each of three numbers in every lane.
     #[inline(always)]
@@ -104,6 +107,10 @@ impl Simd for Portable {
     type F = [f32; LANES];
     type M = [bool; LANES];
 
+    #[inline(never)]
+    fn enter<O: Operation<Portable>>(self, operation: O) -> O::Output {
+        operation.run(self)
+    }
     #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
         [x; LANES]
@@ -193,6 +200,4 @@ impl Simd for Portable {
     fn bits(self, m: Self::M) -> u32 {
         m.iter().enumerate().fold(0, |bits, (i, lane)| bits | u32::from(*lane) << i)
     }
-    #[inline(always)]
-    fn prefetch<T>(self, _: &T) {}
 }

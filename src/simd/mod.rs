@@ -11,7 +11,7 @@ mod lanes;
 mod level;
 mod triangles;
 
-pub use boxes::{BoxRay, Boxes, PackedBoxes, ParallelAxes};
+pub use boxes::{BoxRay, Boxes, PackedBoxes, Parallel, ParallelAxes};
 pub use lanes::{LANES, Portable, Simd};
-pub use level::{Operation, SimdLevel, dispatch};
+pub use level::{AnyOperation, Operation, SimdLevel, dispatch};
 pub use triangles::{ErrorBounds, Interval, Packet, TriangleRay};

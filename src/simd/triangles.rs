@@ -29,20 +29,22 @@ pub struct Packet<S: Simd> {
 }
 
 impl<S: Simd> Packet<S> {
-    /// From nine rows (`a.x, a.y, a.z, b.x, ...`) of `stride` numbers each: lane `i` is triangle `first + i`. Lanes
-    /// past the end of a row hold the start of the next one: mask them.
+    /// From nine rows (`a.x, a.y, a.z, b.x, ...`) of `stride` numbers each, one after the other from `start` on: lane `i`
+    /// is triangle `first + i`. Lanes past the end of a row hold what follows: mask them.
     ///
     /// # Panics
-    /// If `rows` is shorter than `8 * stride + first + 8`.
+    /// If `numbers` is shorter than `start + 8 * stride + first + 8`.
     #[inline(always)]
-    pub fn from_rows(simd: S, rows: &[f32], stride: usize, first: usize) -> Packet<S> {
-        assert!(rows.len() >= 8 * stride + first + LANES);
-        // SAFETY: the last row's load reaches furthest, and the assertion puts it inside `rows`.
+    pub fn from_rows(simd: S, numbers: &[f32], start: usize, stride: usize, first: usize) -> Packet<S> {
+        // SAFETY (of the loads): the last row's load reaches furthest, and this puts it inside `numbers`.
+        assert!(start + 8 * stride + first + LANES <= numbers.len());
+        let start = start + first;
+        // SAFETY: as above.
         unsafe {
             Packet {
-                a: load_rows(simd, rows, stride, first),
-                b: load_rows(simd, rows, stride, 3 * stride + first),
-                c: load_rows(simd, rows, stride, 6 * stride + first),
+                a: load_rows(simd, numbers, stride, start),
+                b: load_rows(simd, numbers, stride, start + 3 * stride),
+                c: load_rows(simd, numbers, stride, start + 6 * stride),
             }
         }
     }

@@ -1,12 +1,12 @@
 //! Any hit: whether something lies between a ray's ends, in whatever order is found first.
 
-use super::closest::{Work, lanes_in_use, leaf_packet};
+use super::closest::{Work, lanes_in_use};
 use super::exact::{ExactRay, RayError};
 use super::stack::Stack;
 use super::{MaterialSet, Occlusion};
 use crate::geom::Ray;
-use crate::octree::{Child, Fine, LocalRay, QueryRay, ROOT, TriangleLocation, prepare, splat_interval};
-use crate::simd::{Interval, LANES, Simd};
+use crate::octree::{Child, Fine, LocalRay, QueryRay, TriangleLocation, prepare, splat_interval};
+use crate::simd::{Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
 
@@ -26,7 +26,7 @@ struct Any<'a, S: Simd> {
 
 /// Whether the ray is blocked.
 #[inline(always)]
-pub(super) fn occlusion<S: Simd, const CERTIFIED: bool>(
+pub(super) fn occlusion<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
     (query, local): (&mut QueryRay, &mut LocalRay<S>),
@@ -50,10 +50,9 @@ pub(super) fn occlusion<S: Simd, const CERTIFIED: bool>(
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
-    let mut child = Child::node(ROOT);
+    let mut child = Child::COARSE_ROOT;
     loop {
         work.counters.box_tests += 1;
-        let mut next = None;
         if child.is_leaf() {
             let block = child.block_index();
             let sub_boxes = &coarse.sub_boxes[block as usize];
@@ -61,8 +60,15 @@ pub(super) fn occlusion<S: Simd, const CERTIFIED: bool>(
             if hits != 0 {
                 work.counters.block_visits += 1;
                 let slot = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?;
-                let fine = Fine::new(slot);
-                if any.visit_block::<CERTIFIED>(simd, &fine, &mut stack, work.exact, work.counters) {
+                let visit = VisitBlock::<S, CERTIFIED, EXPANDED> {
+                    any: &mut any,
+                    slot,
+                    hits,
+                    stack: stack.above(),
+                    exact: work.exact,
+                    counters: work.counters,
+                };
+                if simd.enter(visit) {
                     return Ok(Occlusion::Blocked);
                 }
                 any.local.enter_frame(simd, any.query, &coarse.frame);
@@ -70,71 +76,87 @@ pub(super) fn occlusion<S: Simd, const CERTIFIED: bool>(
         } else {
             let node = &coarse.nodes[child.node_index()];
             let (near, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
-            next = stack.push_sorted(simd, node, near, hits);
+            if hits != 0 {
+                // In order of distance: what blocks a ray is often near, and then fewer blocks are touched.
+                child = stack.push_sorted(simd, &node.children, near, hits);
+                continue;
+            }
         }
-        if next.is_none() {
-            next = stack.pop(0, f32::INFINITY);
-        }
-        match next {
-            Some(entry) => child = entry.child,
-            None => break,
+        child = stack.pop(f32::INFINITY);
+        if child == Child::NONE {
+            break;
         }
     }
     Ok(if any.filtered { Occlusion::Filtered } else { Occlusion::Clear })
 }
 
-impl<S: Simd> Any<'_, S> {
-    /// Whether a triangle of the block blocks the ray.
-    #[inline(always)]
-    fn visit_block<const CERTIFIED: bool>(
-        &mut self,
-        simd: S,
-        fine: &Fine<'_>,
-        stack: &mut Stack<'_>,
-        exact: &mut ExactRay,
-        counters: &mut TraceCounters,
-    ) -> bool {
-        self.local.enter_frame(simd, self.query, &fine.frame());
-        let (low, high) = fine.extents();
-        self.local.set_reach(self.query, low, high, fine.vertex_error());
-        let floor = stack.len();
-        let mut node = &fine.nodes[ROOT as usize];
-        loop {
-            counters.box_tests += 1;
-            let (near, hits) = self.local.boxes.test(simd, &node.bounds, self.outer.low, self.outer.high);
-            let mut next = stack.push_unsorted(simd, node, near, hits);
-            loop {
-                if next.is_none() {
-                    next = stack.pop(floor, f32::INFINITY);
-                }
-                let Some(entry) = next else { return false };
-                if !entry.child.is_leaf() {
-                    node = &fine.nodes[entry.child.node_index()];
-                    break;
-                }
-                if self.visit_leaf::<CERTIFIED>(simd, fine, entry.child, entry.edge, exact, counters) {
-                    return true;
-                }
-                next = None;
-            }
-        }
-    }
+/// The traversal of one block; gives whether a triangle of it blocks the ray. A function of its own, so that the registers
+/// are its own.
+struct VisitBlock<'v, 'r, S: Simd, const CERTIFIED: bool, const EXPANDED: bool> {
+    any: &'v mut Any<'r, S>,
+    slot: &'v [u8],
+    /// Which of the block's sub-boxes the ray meets.
+    hits: u32,
+    /// Its entries stay where they are.
+    stack: Stack<'v>,
+    exact: &'v mut ExactRay,
+    counters: &'v mut TraceCounters,
+}
+
+impl<S: Simd, const CERTIFIED: bool, const EXPANDED: bool> Operation<S>
+    for VisitBlock<'_, '_, S, CERTIFIED, EXPANDED>
+{
+    type Output = bool;
 
     #[inline(always)]
-    fn visit_leaf<const CERTIFIED: bool>(
+    fn run(self, simd: S) -> bool {
+        let VisitBlock { any, slot, hits, mut stack, exact, counters } = self;
+        let fine = Fine::new(slot);
+        any.local.enter_frame(simd, any.query, &fine.frame());
+        let (low, high) = fine.extents();
+        any.local.set_reach(any.query, low, high, fine.vertex_error());
+        let (groups, used) = fine.groups();
+        let mut child = match hits & used {
+            0 => return false,
+            hits => stack.push_unsorted(groups, hits),
+        };
+        loop {
+            while child.is_leaf() {
+                if child == Child::NONE {
+                    return false;
+                }
+                if any.visit_leaf::<CERTIFIED, EXPANDED>(simd, &fine, child, exact, counters) {
+                    return true;
+                }
+                child = stack.pop(f32::INFINITY);
+            }
+            let node = fine.node(child);
+            counters.box_tests += 1;
+            let (_, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
+            child = match hits {
+                0 => stack.pop(f32::INFINITY),
+                _ => stack.push_unsorted(&node.children, hits),
+            };
+        }
+    }
+}
+
+impl<S: Simd> Any<'_, S> {
+    #[inline(always)]
+    fn visit_leaf<const CERTIFIED: bool, const EXPANDED: bool>(
         &mut self,
         simd: S,
         fine: &Fine<'_>,
         leaf: Child,
-        edge: f32,
         exact: &mut ExactRay,
         counters: &mut TraceCounters,
     ) -> bool {
-        let (start, count) = leaf.triangle_range();
+        let count = leaf.triangle_count();
+        let edge = fine.edge(leaf);
         counters.triangle_tests += count as u64;
         let mut first = 0;
         while first < count {
-            let packet = leaf_packet(simd, fine, start, count, first);
+            let packet = fine.packet::<S, EXPANDED>(simd, leaf, first);
             let lanes = lanes_in_use(count - first);
             // Lanes that may be hit, and those of them that need no decision.
             let (possible, certain) = if CERTIFIED {
@@ -151,7 +173,7 @@ impl<S: Simd> Any<'_, S> {
             while possible != 0 {
                 let i = possible.trailing_zeros();
                 possible &= possible - 1;
-                let at = TriangleLocation { start, count, lane: first + i as usize };
+                let at = TriangleLocation { leaf, lane: first + i as usize };
                 if self.blocks(fine, at, certain >> i & 1 == 1, exact, counters) {
                     return true;
                 }

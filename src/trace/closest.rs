@@ -5,10 +5,8 @@ use super::exact::{ExactRay, RayError};
 use super::load::{LoadScratch, Pins};
 use super::stack::{Entries, Stack};
 use crate::geom::{Ray, TriangleHit};
-use crate::octree::{
-    Child, Fine, LazyOctree, LocalRay, QueryRay, ROOT, TriangleLocation, prepare, splat_interval,
-};
-use crate::simd::{Interval, LANES, Packet, Simd};
+use crate::octree::{Child, Fine, LazyOctree, LocalRay, QueryRay, TriangleLocation, prepare, splat_interval};
+use crate::simd::{Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::{BlockId, TriangleId};
 
@@ -41,7 +39,7 @@ struct Closest<'r, S: Simd> {
 
 /// Puts the least hit by (t, id) among those strictly greater than `after` into `best` (I3).
 #[inline(always)]
-pub(super) fn closest_hit<S: Simd, const CERTIFIED: bool>(
+pub(super) fn closest_hit<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
     (query, local): (&mut QueryRay, &mut LocalRay<S>),
@@ -76,87 +74,112 @@ pub(super) fn closest_hit<S: Simd, const CERTIFIED: bool>(
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
-    let mut child = Child::node(ROOT);
+    let mut child = Child::COARSE_ROOT;
     loop {
         work.counters.box_tests += 1;
         let Closest { local, interval, .. } = &closest;
-        let mut next = None;
         if child.is_leaf() {
             let block = child.block_index();
             let sub_boxes = &coarse.sub_boxes[block as usize];
-            let (_, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
+            let (near, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
                 work.counters.block_visits += 1;
                 let slot = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?;
-                let fine = Fine::new(slot);
-                closest.visit_block::<CERTIFIED>(simd, &fine, &mut stack, work.exact, work.counters);
+                let visit = VisitBlock::<S, CERTIFIED, EXPANDED> {
+                    closest: &mut closest,
+                    slot,
+                    near,
+                    hits,
+                    stack: stack.above(),
+                    exact: work.exact,
+                    counters: work.counters,
+                };
+                simd.enter(visit);
                 closest.local.enter_frame(simd, closest.query, &coarse.frame);
             }
         } else {
             let node = &coarse.nodes[child.node_index()];
             let (near, hits) = local.boxes.test(simd, &node.bounds, interval.low, interval.high);
-            next = stack.push_sorted(simd, node, near, hits);
+            if hits != 0 {
+                child = stack.push_sorted(simd, &node.children, near, hits);
+                continue;
+            }
         }
-        if next.is_none() {
-            next = stack.pop(0, closest.high);
+        child = stack.pop(closest.high);
+        if child == Child::NONE {
+            return Ok(());
         }
-        match next {
-            Some(entry) => child = entry.child,
-            None => return Ok(()),
+    }
+}
+
+/// The traversal of one block. A function of its own, so that the registers are its own.
+struct VisitBlock<'v, 'r, S: Simd, const CERTIFIED: bool, const EXPANDED: bool> {
+    closest: &'v mut Closest<'r, S>,
+    slot: &'v [u8],
+    /// Where the ray enters the block's sub-boxes, and which.
+    near: S::F,
+    hits: u32,
+    /// Its entries stay where they are.
+    stack: Stack<'v>,
+    exact: &'v mut ExactRay,
+    counters: &'v mut TraceCounters,
+}
+
+impl<S: Simd, const CERTIFIED: bool, const EXPANDED: bool> Operation<S>
+    for VisitBlock<'_, '_, S, CERTIFIED, EXPANDED>
+{
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, simd: S) {
+        let VisitBlock { closest, slot, near, hits, mut stack, exact, counters } = self;
+        let fine = Fine::new(slot);
+        closest.local.enter_frame(simd, closest.query, &fine.frame());
+        let (low, high) = fine.extents();
+        closest.local.set_reach(closest.query, low, high, fine.vertex_error());
+        let mut box_tests = 0;
+        let (groups, used) = fine.groups();
+        let mut child = match hits & used {
+            0 => return,
+            hits => stack.push_sorted(simd, groups, near, hits),
+        };
+        loop {
+            while child.is_leaf() {
+                if child == Child::NONE {
+                    counters.box_tests += box_tests;
+                    return;
+                }
+                closest.visit_leaf::<CERTIFIED, EXPANDED>(simd, &fine, child, exact, counters);
+                child = stack.pop(closest.high);
+            }
+            let node = fine.node(child);
+            box_tests += 1;
+            let boxes = &closest.local.boxes;
+            let (near, hits) = boxes.test(simd, &node.bounds, closest.interval.low, closest.interval.high);
+            child = match hits {
+                0 => stack.pop(closest.high),
+                _ => stack.push_sorted(simd, &node.children, near, hits),
+            };
         }
     }
 }
 
 impl<S: Simd> Closest<'_, S> {
     #[inline(always)]
-    fn visit_block<const CERTIFIED: bool>(
-        &mut self,
-        simd: S,
-        fine: &Fine<'_>,
-        stack: &mut Stack<'_>,
-        exact: &mut ExactRay,
-        counters: &mut TraceCounters,
-    ) {
-        self.local.enter_frame(simd, self.query, &fine.frame());
-        let (low, high) = fine.extents();
-        self.local.set_reach(self.query, low, high, fine.vertex_error());
-        let floor = stack.len();
-        let mut node = &fine.nodes[ROOT as usize];
-        loop {
-            counters.box_tests += 1;
-            let (near, hits) =
-                self.local.boxes.test(simd, &node.bounds, self.interval.low, self.interval.high);
-            let mut next = stack.push_sorted(simd, node, near, hits);
-            loop {
-                if next.is_none() {
-                    next = stack.pop(floor, self.high);
-                }
-                let Some(entry) = next else { return };
-                if !entry.child.is_leaf() {
-                    node = &fine.nodes[entry.child.node_index()];
-                    break;
-                }
-                self.visit_leaf::<CERTIFIED>(simd, fine, entry.child, entry.edge, exact, counters);
-                next = None;
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn visit_leaf<const CERTIFIED: bool>(
+    fn visit_leaf<const CERTIFIED: bool, const EXPANDED: bool>(
         &mut self,
         simd: S,
         fine: &Fine<'_>,
         leaf: Child,
-        edge: f32,
         exact: &mut ExactRay,
         counters: &mut TraceCounters,
     ) {
-        let (start, count) = leaf.triangle_range();
+        let count = leaf.triangle_count();
+        let edge = fine.edge(leaf);
         counters.triangle_tests += count as u64;
         let mut first = 0;
         while first < count {
-            let packet = leaf_packet(simd, fine, start, count, first);
+            let packet = fine.packet::<S, EXPANDED>(simd, leaf, first);
             let lanes = lanes_in_use(count - first);
             if CERTIFIED {
                 let mut survivors =
@@ -164,7 +187,7 @@ impl<S: Simd> Closest<'_, S> {
                 while survivors != 0 {
                     let lane = first + survivors.trailing_zeros() as usize;
                     survivors &= survivors - 1;
-                    let at = TriangleLocation { start, count, lane };
+                    let at = TriangleLocation { leaf, lane };
                     let vertices = fine.exact_vertices(at);
                     counters.decisions += 1;
                     let (t_min, t_max) = (self.t_min, self.t_max);
@@ -181,9 +204,9 @@ impl<S: Simd> Closest<'_, S> {
                     while hits != 0 {
                         let i = hits.trailing_zeros() as usize;
                         hits &= hits - 1;
-                        let at = TriangleLocation { start, count, lane: first + i };
+                        let at = TriangleLocation { leaf, lane: first + i };
                         let hit = TriangleHit {
-                            t: self.query.from_local(t[i]),
+                            t: self.query.ray_parameter(t[i]),
                             u: f64::from(u[i]),
                             v: f64::from(v[i]),
                         };
@@ -210,7 +233,11 @@ impl<S: Simd> Closest<'_, S> {
             Some(best) => (t, triangle) < (best.t, best.triangle),
             None => true,
         };
-        if !better || self.after.is_some_and(|after| (t, triangle) <= after) {
+        let admitted = match self.after {
+            Some(after) => (t, triangle) > after || after.0.is_nan(),
+            None => true,
+        };
+        if !better || !admitted {
             return;
         }
         *self.best = Some(Hit { t, u, v, triangle, material: fine.material(at), vertices });
@@ -223,25 +250,8 @@ impl<S: Simd> Closest<'_, S> {
     }
 }
 
-/// Eight triangles of a leaf, from the one at `first` on.
-#[inline(always)]
-pub(super) fn leaf_packet<S: Simd>(
-    simd: S,
-    fine: &Fine<'_>,
-    start: usize,
-    count: usize,
-    first: usize,
-) -> Packet<S> {
-    if fine.is_expanded() {
-        Packet::from_rows(simd, &fine.rows[9 * start..], count, first)
-    } else {
-        let end = (first + LANES).min(count);
-        Packet::from_indices(simd, fine.vertices(), &fine.indices()[start + first..start + end])
-    }
-}
-
-/// A bit for each of the first `count` lanes.
+/// A bit for each of the first `count` lanes (one at least).
 #[inline(always)]
 pub(super) fn lanes_in_use(count: usize) -> u32 {
-    if count >= LANES { 0xff } else { (1 << count) - 1 }
+    0xff >> (LANES - count.min(LANES))
 }

@@ -40,7 +40,8 @@ impl LoadScratch {
     ) -> Result<(), LoadError> {
         octree.source.read_block(block, &mut self.stored)?;
         octree.model.decode_block(block, &self.stored, &mut self.decode, &mut self.data)?;
-        build(octree.level, &self.data, octree.layout, slot, &mut self.build);
+        let entry = &octree.model.blocks[block.0 as usize];
+        build(octree.level, entry, &self.data, octree.layout, slot, &mut self.build);
         octree.touched.insert(block);
         counters.blocks_loaded += 1;
         counters.bytes_read += self.stored.len() as u64;
@@ -77,7 +78,7 @@ impl<'o> Pins<'o> {
         counters: &mut TraceCounters,
     ) -> Result<&[u8], LoadError> {
         let place = &mut self.places[(block.0 & self.mask) as usize];
-        if !place.as_ref().is_some_and(|pin| pin.block() == block) {
+        if place.as_ref().is_none_or(|pin| pin.block() != block) {
             // The old pin goes first: with one slot for each tracer there is none to spare.
             *place = None;
             *place = Some(pin(octree, block, scratch, counters)?);

@@ -1,24 +1,38 @@
 //! The traversal stack of both levels.
 
-use crate::octree::{Child, Node, STACK_MAX};
+use crate::octree::{Child, STACK_MAX};
 use crate::simd::{LANES, Simd};
 
-/// A child that waits.
-#[derive(Clone, Copy, Debug)]
-#[repr(C, align(16))]
-pub(super) struct Entry {
-    /// Where the ray enters its box.
-    pub near: f32,
-    pub child: Child,
-    /// See [`Node::edges`].
-    pub edge: f32,
+/// A child that waits, with where the ray enters its box: the bits of that number above the child's. Parameters are not
+/// negative, so that entries compare like them, and a comparison of two entries is one of integers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Entry(u64);
+
+impl Entry {
+    #[inline(always)]
+    fn new(near: f32, child: Child) -> Entry {
+        Entry(u64::from(near.to_bits()) << 32 | u64::from(child.0))
+    }
+
+    #[inline(always)]
+    fn child(self) -> Child {
+        Child(self.0 as u32)
+    }
+
+    #[inline(always)]
+    fn near(self) -> f32 {
+        f32::from_bits((self.0 >> 32) as u32)
+    }
 }
 
 /// Room for the children that wait in both levels.
 pub(super) type Entries = [Entry; STACK_MAX];
 
 /// What fills unused room.
-pub(super) const UNUSED: Entry = Entry { near: 0.0, child: Child(0), edge: 0.0 };
+pub(super) const UNUSED: Entry = Entry(0);
+
+/// Lies below the children of one level: it begins before everything, and no tree has a leaf like it.
+const END: Entry = Entry(Child::NONE.0 as u64);
 
 /// Children that wait, the next one last. Trees are no deeper than [`STACK_MAX`] allows.
 pub(super) struct Stack<'e> {
@@ -27,14 +41,20 @@ pub(super) struct Stack<'e> {
 }
 
 impl<'e> Stack<'e> {
+    /// A stack in `entries`, all of which are free.
     #[inline(always)]
     pub fn new(entries: &'e mut Entries) -> Stack<'e> {
-        Stack { entries, len: 0 }
+        let mut stack = Stack { entries, len: 0 };
+        stack.push(END);
+        stack
     }
 
+    /// A stack above the entries of this one.
     #[inline(always)]
-    pub fn len(&self) -> usize {
-        self.len
+    pub fn above(&mut self) -> Stack<'_> {
+        let mut stack = Stack { entries: self.entries, len: self.len };
+        stack.push(END);
+        stack
     }
 
     #[inline(always)]
@@ -43,77 +63,75 @@ impl<'e> Stack<'e> {
         self.len += 1;
     }
 
-    /// The last entry above `floor` that begins at `high` or before.
+    /// The last child that begins at `high` (not negative) or before; [`Child::NONE`] at the end.
     #[inline(always)]
-    pub fn pop(&mut self, floor: usize, high: f32) -> Option<Entry> {
-        while self.len > floor {
+    pub fn pop(&mut self, high: f32) -> Child {
+        loop {
+            // The end is never passed: it begins at 0.
             self.len -= 1;
             let entry = self.entries[self.len];
-            if entry.near <= high {
-                return Some(entry);
+            if entry.near() <= high {
+                return entry.child();
             }
         }
-        None
     }
 
-    /// Returns the nearest child of those in `hits` and pushes the others, nearest last.
+    /// Returns the nearest child of those in `hits` (one at least) and pushes the others, nearest last.
     #[inline(always)]
-    pub fn push_sorted<S: Simd>(&mut self, simd: S, node: &Node, near: S::F, hits: u32) -> Option<Entry> {
-        if hits == 0 {
-            return None;
-        }
+    pub fn push_sorted<S: Simd>(
+        &mut self,
+        simd: S,
+        children: &[Child; LANES],
+        near: S::F,
+        hits: u32,
+    ) -> Child {
         let near = simd.to_array(near);
-        let entry = |lane: u32| {
-            let lane = lane as usize % LANES;
-            Entry { near: near[lane], child: node.children[lane], edge: node.edges[lane] }
-        };
-        let first = entry(hits.trailing_zeros());
+        let first = entry(children, &near, hits);
         let hits = hits & (hits - 1);
         if hits == 0 {
-            return Some(first);
+            return first.child();
         }
-        let second = entry(hits.trailing_zeros());
-        let mut hits = hits & (hits - 1);
-        let (nearer, farther) = if second.near < first.near { (second, first) } else { (first, second) };
-        if hits == 0 {
-            self.push(farther);
-            return Some(nearer);
-        }
+        let second = entry(children, &near, hits);
+        // Selects, not branches: which one is nearer cannot be predicted.
+        let mut nearest = first.min(second);
         let base = self.len;
-        self.push(farther);
-        self.push(nearer);
+        self.push(first.max(second));
+        let mut hits = hits & (hits - 1);
         while hits != 0 {
-            let new = entry(hits.trailing_zeros());
+            let new = entry(children, &near, hits);
             hits &= hits - 1;
+            let next = nearest.max(new);
+            nearest = nearest.min(new);
             // Insertion: what is nearer moves up.
             let mut place = self.len;
-            self.push(new);
-            while place > base && self.entries[place - 1].near < new.near {
+            self.push(next);
+            while place > base && self.entries[place - 1] < next {
                 self.entries[place] = self.entries[place - 1];
                 place -= 1;
             }
-            self.entries[place] = new;
+            self.entries[place] = next;
         }
-        self.len -= 1;
-        Some(self.entries[self.len])
+        nearest.child()
     }
 
-    /// Returns one child of those in `hits` and pushes the others, in no particular order.
+    /// Returns one child of those in `hits` (one at least) and pushes the others, in no particular order.
     #[inline(always)]
-    pub fn push_unsorted<S: Simd>(&mut self, simd: S, node: &Node, near: S::F, hits: u32) -> Option<Entry> {
-        if hits == 0 {
-            return None;
-        }
-        let near = simd.to_array(near);
+    pub fn push_unsorted(&mut self, children: &[Child; LANES], hits: u32) -> Child {
         let mut hits = hits;
         loop {
-            let lane = hits.trailing_zeros() as usize % LANES;
-            let entry = Entry { near: near[lane], child: node.children[lane], edge: node.edges[lane] };
+            let child = children[hits.trailing_zeros() as usize % LANES];
             hits &= hits - 1;
             if hits == 0 {
-                return Some(entry);
+                return child;
             }
-            self.push(entry);
+            self.push(Entry::new(0.0, child));
         }
     }
+}
+
+/// The first child in `hits`.
+#[inline(always)]
+fn entry(children: &[Child; LANES], near: &[f32; LANES], hits: u32) -> Entry {
+    let lane = hits.trailing_zeros() as usize % LANES;
+    Entry::new(near[lane], children[lane])
 }

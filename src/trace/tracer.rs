@@ -10,7 +10,7 @@ use crate::budget::Reservation;
 use crate::error::TraceError;
 use crate::geom::Ray;
 use crate::octree::{LazyOctree, LocalRay, QueryRay, Tier, TracerPermit, tracer_bytes};
-use crate::simd::{Operation, Simd, dispatch};
+use crate::simd::{AnyOperation, Simd, dispatch};
 use crate::stats::TraceCounters;
 use crate::units::TriangleId;
 
@@ -148,21 +148,24 @@ struct ClosestHits<'a, 'o> {
     hits: &'a mut [Option<Hit>],
 }
 
-impl Operation for ClosestHits<'_, '_> {
+impl AnyOperation for ClosestHits<'_, '_> {
     type Output = Result<(), TraceError>;
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Self::Output {
         let certified = self.tracer.octree.tier == Tier::Certified;
+        let expanded = self.tracer.octree.layout.expanded;
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         for (index, (ray, hit)) in self.rays.iter().zip(self.hits).enumerate() {
             work.counters.rays += 1;
             let after = self.after.get(index).copied();
-            let result = if certified {
-                closest_hit::<S, true>(simd, &mut work, (&mut query, &mut local), ray, after, hit)
-            } else {
-                closest_hit::<S, false>(simd, &mut work, (&mut query, &mut local), ray, after, hit)
+            let prepared = (&mut query, &mut local);
+            let result = match (certified, expanded) {
+                (true, true) => closest_hit::<S, true, true>(simd, &mut work, prepared, ray, after, hit),
+                (true, false) => closest_hit::<S, true, false>(simd, &mut work, prepared, ray, after, hit),
+                (false, true) => closest_hit::<S, false, true>(simd, &mut work, prepared, ray, after, hit),
+                (false, false) => closest_hit::<S, false, false>(simd, &mut work, prepared, ray, after, hit),
             };
             result.map_err(|error| error.at(index))?;
         }
@@ -177,20 +180,23 @@ struct Occlusions<'a, 'o> {
     out: &'a mut [Occlusion],
 }
 
-impl Operation for Occlusions<'_, '_> {
+impl AnyOperation for Occlusions<'_, '_> {
     type Output = Result<(), TraceError>;
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Self::Output {
         let certified = self.tracer.octree.tier == Tier::Certified;
+        let expanded = self.tracer.octree.layout.expanded;
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         for (index, (ray, out)) in self.rays.iter().zip(self.out).enumerate() {
             work.counters.rays += 1;
-            let result = if certified {
-                occlusion::<S, true>(simd, &mut work, (&mut query, &mut local), ray, self.ignore)
-            } else {
-                occlusion::<S, false>(simd, &mut work, (&mut query, &mut local), ray, self.ignore)
+            let prepared = (&mut query, &mut local);
+            let result = match (certified, expanded) {
+                (true, true) => occlusion::<S, true, true>(simd, &mut work, prepared, ray, self.ignore),
+                (true, false) => occlusion::<S, true, false>(simd, &mut work, prepared, ray, self.ignore),
+                (false, true) => occlusion::<S, false, true>(simd, &mut work, prepared, ray, self.ignore),
+                (false, false) => occlusion::<S, false, false>(simd, &mut work, prepared, ray, self.ignore),
             };
             *out = result.map_err(|error| error.at(index))?;
         }
