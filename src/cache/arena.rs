@@ -42,21 +42,15 @@ pub(super) struct FreeSlot {
     home: usize,
 }
 
-/// Asks the operating system for large pages, which spare random rays most of their address translations: a wish, without
-/// effect on contents, and none where the system does not have them.
-fn advise_huge_pages(memory: NonNull<u8>, bytes: usize) {
-    #[cfg(target_os = "linux")]
-    {
-        const PAGE_BYTES: usize = 2 << 20;
-        let skipped = memory.align_offset(PAGE_BYTES);
-        let whole = bytes.saturating_sub(skipped) / PAGE_BYTES * PAGE_BYTES;
-        if whole > 0 {
-            // SAFETY: the range is inside the allocation, and this advice changes no contents.
-            unsafe { libc::madvise(memory.as_ptr().add(skipped).cast(), whole, libc::MADV_HUGEPAGE) };
-        }
+/// Lets the allocator give back what it holds but does not use, so that memory freed by an earlier job of this process
+/// (compiling the model) and the arena do not add up beyond the budget (I1). Only glibc keeps so much, and only there does
+/// this do anything.
+fn return_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: the function takes a number, may be called at any time from any thread, and moves no allocation.
+    unsafe {
+        libc::malloc_trim(0);
     }
-    #[cfg(not(target_os = "linux"))]
-    let _ = (memory, bytes);
 }
 
 impl FreeSlot {
@@ -89,9 +83,9 @@ impl<S: Primitives> Arena<S> {
     ) -> Option<(Arena<S>, Vec<FreeSlot>)> {
         assert!(slot_bytes.is_multiple_of(SLOT_ALIGNMENT));
         let layout = Self::layout(slot_count, slot_bytes)?;
+        return_freed_memory();
         // SAFETY: the size is at least SLOT_ALIGNMENT, so not zero.
         let memory = NonNull::new(unsafe { alloc_zeroed(layout) })?;
-        advise_huge_pages(memory, layout.size());
         let padding = memory.align_offset(SLOT_ALIGNMENT);
         assert!(padding < SLOT_ALIGNMENT);
         // SAFETY: `padding` is below SLOT_ALIGNMENT, which the allocation has beyond the slots.
