@@ -1,0 +1,178 @@
+//! Queries of the gears: camera rays, shadow rays and bounces over resident blocks, and what loading a block costs.
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use outcrop::compile::{CompileOptions, Compiler, Control};
+use outcrop::geom::Ray;
+use outcrop::octree::{LeafLayout, OctreeOptions, Tier};
+use outcrop::procedural::{Gears, Shape};
+use outcrop::source::MemorySource;
+use outcrop::trace::{Hit, Occlusion, Tracer};
+use outcrop::units::Bytes;
+use outcrop::{LazyOctree, MemoryBudget};
+
+/// Rays per axis of the camera's square.
+const SIDE: u32 = 256;
+const EYE: [f64; 3] = [-1.1, -2.1, 2.6];
+const LIGHT: [f64; 3] = [2.0, 4.0, 4.0];
+
+/// The compiled gears scene with eight wheels, 219,744 triangles.
+fn compiled() -> Arc<MemorySource> {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = directory.path().join("gears.outcrop");
+    let budget = MemoryBudget::new(Bytes::mib(256));
+    let mut progress = |_| Control::Continue;
+    let mut compiler =
+        Compiler::new(&path, CompileOptions::default(), &budget, &mut progress).expect("the budget is ample");
+    Gears::new(2).expect("n is small").emit(&mut compiler).expect("the gears compile");
+    compiler.finish().expect("the gears compile");
+    let bytes = std::fs::read(&path).expect("the file was just written");
+    Arc::new(MemorySource::new(bytes).expect("a whole file"))
+}
+
+fn open(source: &Arc<MemorySource>, options: OctreeOptions) -> LazyOctree {
+    let source = Arc::clone(source);
+    LazyOctree::open(source, &MemoryBudget::new(Bytes::mib(512)), options).expect("the budget is ample")
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn unit(a: [f64; 3]) -> [f64; 3] {
+    a.map(|x| x / dot(a, a).sqrt())
+}
+
+/// The standard view, row by row.
+fn camera_rays() -> Vec<Ray> {
+    let forward = unit(EYE.map(|x| -x));
+    let right = unit(cross(forward, [0.0, 0.0, 1.0]));
+    let up = cross(right, forward);
+    let half = 22.5f64.to_radians().tan();
+    let place = |i: u32| half * (2.0 * (f64::from(i) + 0.5) / f64::from(SIDE) - 1.0);
+    let ray = |x, y| Ray::new(EYE, [0, 1, 2].map(|axis| forward[axis] + x * right[axis] - y * up[axis]));
+    (0..SIDE * SIDE).map(|i| ray(place(i % SIDE), place(i / SIDE))).collect()
+}
+
+/// From each hit to the light.
+fn shadow_rays(hits: &[Hit]) -> Vec<Ray> {
+    let ray = |hit: &Hit| {
+        let origin = hit.position();
+        let direction = [0, 1, 2].map(|axis| LIGHT[axis] - origin[axis]);
+        Ray { t_min: 1e-6, t_max: 1.0, ..Ray::new(origin, direction) }
+    };
+    hits.iter().map(ray).collect()
+}
+
+/// From each hit to the camera's side of its surface, in a direction that has little to do with its neighbours'.
+fn bounces(hits: &[Hit], rays: &[Ray]) -> Vec<Ray> {
+    let mut state = 1u64;
+    let mut random = move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    };
+    let mut ray = |(hit, from): (&Hit, &Ray)| {
+        let normal = unit(hit.normal());
+        let side = -dot(normal, from.direction).signum();
+        let any = loop {
+            let any = [random(), random(), random()];
+            if dot(any, any) < 1.0 {
+                break any;
+            }
+        };
+        let direction = [0, 1, 2].map(|axis| 1.01 * side * normal[axis] + any[axis]);
+        Ray { t_min: 1e-6, ..Ray::new(hit.position(), direction) }
+    };
+    hits.iter().zip(rays).map(&mut ray).collect()
+}
+
+fn closest(tracer: &mut Tracer<'_>, rays: &[Ray], hits: &mut Vec<Option<Hit>>) {
+    hits.resize(rays.len(), None);
+    tracer.closest_hits(rays, hits).expect("the model is sound");
+}
+
+fn queries(criterion: &mut Criterion) {
+    let source = compiled();
+    let camera = camera_rays();
+    let certified = open(&source, OctreeOptions::default());
+    let mut hits = Vec::new();
+    closest(&mut certified.tracer().expect("the budget is ample"), &camera, &mut hits);
+    let (met, meeting): (Vec<Hit>, Vec<Ray>) =
+        hits.iter().zip(&camera).filter_map(|(hit, ray)| hit.map(|hit| (hit, *ray))).unzip();
+    assert!(2 * met.len() > camera.len(), "the gears fill most of the picture");
+    let (shadows, bounces) = (shadow_rays(&met), bounces(&met, &meeting));
+    drop(certified);
+
+    let mut answers = Vec::new();
+    for (tier, layout) in [
+        (Tier::Certified, LeafLayout::Expanded),
+        (Tier::Certified, LeafLayout::Indexed),
+        (Tier::Fast, LeafLayout::Expanded),
+    ] {
+        let octree = open(&source, OctreeOptions { tier, leaf_layout: layout, ..OctreeOptions::default() });
+        let mut tracer = octree.tracer().expect("the budget is ample");
+        let mut group = criterion.benchmark_group(format!("trace/{tier:?}/{layout:?}"));
+        let mut counts = Vec::new();
+        let mut occlusions = vec![Occlusion::Clear; shadows.len()];
+        for (name, rays) in [("closest camera", &camera), ("closest bounce", &bounces)] {
+            // Once before: it loads the blocks, and gives the answers to compare.
+            closest(&mut tracer, rays, &mut hits);
+            counts.push(hits.iter().flatten().count());
+            group.throughput(Throughput::Elements(rays.len() as u64));
+            group.bench_function(name, |bencher| {
+                bencher.iter(|| closest(&mut tracer, black_box(rays), &mut hits));
+            });
+        }
+        tracer.occluded(&shadows, None, &mut occlusions).expect("the model is sound");
+        counts.push(occlusions.iter().filter(|occlusion| **occlusion == Occlusion::Blocked).count());
+        group.throughput(Throughput::Elements(shadows.len() as u64));
+        group.bench_function("any shadow", |bencher| {
+            bencher.iter(|| tracer.occluded(black_box(&shadows), None, &mut occlusions));
+        });
+        let block_count = octree.model().blocks.len() as u64;
+        assert!(tracer.counters().blocks_loaded <= block_count, "all blocks stay resident");
+        answers.push(counts);
+    }
+    assert_eq!(answers[0], answers[1], "certified answers do not depend on the layout");
+    for (certified, fast) in answers[0].iter().zip(&answers[2]) {
+        assert!(certified.abs_diff(*fast) < 1 + camera.len() / 100, "{certified} and {fast} hits");
+    }
+}
+
+/// Reading, decoding and building: the first ray into a block of an octree with one slot.
+fn loads(criterion: &mut Criterion) {
+    let source = compiled();
+    let mut group = criterion.benchmark_group("trace/load");
+    for layout in [LeafLayout::Expanded, LeafLayout::Indexed] {
+        let options = OctreeOptions { leaf_layout: layout, slots_max: Some(1), ..OctreeOptions::default() };
+        let octree = open(&source, options);
+        let mut tracer = octree.tracer().expect("the budget is ample");
+        // Two rays that need different blocks evict each other's.
+        let away = [[-0.5, -0.5], [0.5, 0.5]];
+        let rays = away.map(|[x, y]| Ray::new([x, y, 3.0], [1e-3, 1e-3, -1.0]));
+        let mut hits = [None; 2];
+        tracer.closest_hits(&rays, &mut hits).expect("the model is sound");
+        let before = tracer.counters();
+        tracer.closest_hits(&rays, &mut hits).expect("the model is sound");
+        let after = tracer.counters();
+        let blocks = after.blocks_loaded - before.blocks_loaded;
+        assert!(blocks >= 2 && hits[0].is_some() && hits[1].is_some(), "every batch loads");
+        println!(
+            "{layout:?}: {blocks} blocks of {} triangles together for each batch",
+            after.triangles_decoded - before.triangles_decoded
+        );
+        group.throughput(Throughput::Elements(blocks));
+        group.bench_function(format!("{layout:?}"), |bencher| {
+            bencher.iter(|| tracer.closest_hits(black_box(&rays), &mut hits));
+        });
+    }
+}
+
+criterion_group! { name = benches; config = Criterion::default().sample_size(10); targets = queries, loads }
+criterion_main!(benches);
