@@ -90,7 +90,8 @@ fn reason_to_compile(
     compiled: &Path,
 ) -> Result<Option<&'static str>, Box<dyn Error>> {
     let record = source_record(model)?;
-    if options.recompile || options.block_bytes.is_some() || options.codec.is_some() {
+    let asked = options.block_bytes.is_some() || options.codec.is_some() || options.precision.is_some();
+    if options.recompile || asked {
         return Ok(Some("compiled as asked"));
     }
     if !compiled.exists() {
@@ -111,6 +112,9 @@ fn compile_options(options: &Options) -> CompileOptions {
     }
     if let Some(codec) = options.codec {
         compile.codec = codec;
+    }
+    if let Some(precision) = options.precision {
+        compile.precision = precision;
     }
     compile
 }

@@ -35,6 +35,18 @@ fn run(arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
         }
         Command::Run(options) => options,
     };
+    // A render can take hours: what would stop its picture from being written is told before.
+    if let Some(folder) = options.output.parent().filter(|folder| !folder.as_os_str().is_empty())
+        && !options.compile_only
+        && !folder.is_dir()
+    {
+        return Err(format!(
+            "cannot write {}: there is no folder {}",
+            options.output.display(),
+            folder.display()
+        )
+        .into());
+    }
     let interrupt = Interrupt::install()?;
     let budget = MemoryBudget::new(options.memory);
     let log = options.memory_log.clone().map(|path| MemoryLog::start(path, &budget));

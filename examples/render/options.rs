@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 
 use outcrop::block::Codec;
+use outcrop::compile::PrecisionChoice;
 use outcrop::octree::{LeafLayout, Tier};
 use outcrop::render::ImageFormat;
 use outcrop::simd::SimdLevel;
@@ -46,6 +47,7 @@ compiled file
     --recompile             compile even if the compiled file is up to date
     --block-bytes BYTES     decoded size of a block, 4KiB to 256KiB (64KiB)
     --codec KIND            raw, lzo or lz4 (lz4)
+    --precision KIND        auto, float32, or the exponent E of a lattice of spacing 2^E (auto)
 report
     --stats FILE.json       everything that is printed and more
     --memory-log FILE.csv   memory over time, and a plot of it as FILE.svg
@@ -92,6 +94,7 @@ pub struct Options {
     pub recompile: bool,
     pub block_bytes: Option<u32>,
     pub codec: Option<Codec>,
+    pub precision: Option<PrecisionChoice>,
     pub stats: Option<PathBuf>,
     pub memory_log: Option<PathBuf>,
 }
@@ -158,6 +161,21 @@ impl Options {
                 "--codec" => {
                     let kinds = [("raw", Codec::Raw), ("lzo", Codec::Lzo), ("lz4", Codec::Lz4)];
                     options.codec = Some(arguments.choice(&kinds)?);
+                }
+                "--precision" => {
+                    options.precision = Some(match arguments.text()?.as_str() {
+                        "auto" => PrecisionChoice::Auto,
+                        "float32" => PrecisionChoice::Float32,
+                        exponent => match exponent.parse() {
+                            Ok(exponent) => PrecisionChoice::Lattice { exponent },
+                            Err(_) => {
+                                return Err(format!(
+                                    "--precision: `{exponent}` is not auto, float32 or a whole number"
+                                )
+                                .into());
+                            }
+                        },
+                    });
                 }
                 "--stats" => options.stats = Some(arguments.path()?),
                 "--memory-log" => options.memory_log = Some(arguments.path()?),
@@ -241,6 +259,7 @@ impl Default for Options {
             recompile: false,
             block_bytes: None,
             codec: None,
+            precision: None,
             stats: None,
             memory_log: None,
         }

@@ -33,6 +33,7 @@ impl Meter {
 }
 
 /// A reader whose bytes are counted.
+#[cfg_attr(not(feature = "gzip"), allow(dead_code))] // only compressed files are read through it
 pub(super) struct Counted<R> {
     reader: R,
     taken: Rc<Cell<u64>>,
