@@ -109,39 +109,45 @@ fn queries(criterion: &mut Criterion) {
     let (shadows, bounces) = (shadow_rays(&met), bounces(&met, &meeting));
     drop(certified);
 
-    let mut answers = Vec::new();
-    for (tier, layout) in [
+    let kinds = [
         (Tier::Certified, LeafLayout::Expanded),
         (Tier::Certified, LeafLayout::Indexed),
         (Tier::Fast, LeafLayout::Expanded),
-    ] {
-        let octree = open(&source, OctreeOptions { tier, leaf_layout: layout, ..OctreeOptions::default() });
+    ];
+    let octrees = kinds.map(|(tier, leaf_layout)| {
+        open(&source, OctreeOptions { tier, leaf_layout, ..OctreeOptions::default() })
+    });
+    // All answers are compared before any is timed; this loads the blocks, too.
+    let mut occlusions = vec![Occlusion::Clear; shadows.len()];
+    let counts = octrees.each_ref().map(|octree| {
+        let mut tracer = octree.tracer().expect("the budget is ample");
+        let closest_counts = [&camera, &bounces].map(|rays| {
+            closest(&mut tracer, rays, &mut hits);
+            hits.iter().flatten().count()
+        });
+        tracer.occluded(&shadows, None, &mut occlusions).expect("the model is sound");
+        let blocked = occlusions.iter().filter(|occlusion| **occlusion == Occlusion::Blocked).count();
+        [closest_counts[0], closest_counts[1], blocked]
+    });
+    assert_eq!(counts[0], counts[1], "certified answers do not depend on the layout");
+    for (certified, fast) in counts[0].iter().zip(&counts[2]) {
+        assert!(certified.abs_diff(*fast) < 1 + camera.len() / 100, "{certified} and {fast} hits");
+    }
+
+    for ((tier, layout), octree) in kinds.iter().zip(&octrees) {
         let mut tracer = octree.tracer().expect("the budget is ample");
         let mut group = criterion.benchmark_group(format!("trace/{tier:?}/{layout:?}"));
-        let mut counts = Vec::new();
-        let mut occlusions = vec![Occlusion::Clear; shadows.len()];
         for (name, rays) in [("closest camera", &camera), ("closest bounce", &bounces)] {
-            // Once before: it loads the blocks, and gives the answers to compare.
-            closest(&mut tracer, rays, &mut hits);
-            counts.push(hits.iter().flatten().count());
             group.throughput(Throughput::Elements(rays.len() as u64));
             group.bench_function(name, |bencher| {
                 bencher.iter(|| closest(&mut tracer, black_box(rays), &mut hits));
             });
         }
-        tracer.occluded(&shadows, None, &mut occlusions).expect("the model is sound");
-        counts.push(occlusions.iter().filter(|occlusion| **occlusion == Occlusion::Blocked).count());
         group.throughput(Throughput::Elements(shadows.len() as u64));
         group.bench_function("any shadow", |bencher| {
             bencher.iter(|| tracer.occluded(black_box(&shadows), None, &mut occlusions));
         });
-        let block_count = octree.model().blocks.len() as u64;
-        assert!(tracer.counters().blocks_loaded <= block_count, "all blocks stay resident");
-        answers.push(counts);
-    }
-    assert_eq!(answers[0], answers[1], "certified answers do not depend on the layout");
-    for (certified, fast) in answers[0].iter().zip(&answers[2]) {
-        assert!(certified.abs_diff(*fast) < 1 + camera.len() / 100, "{certified} and {fast} hits");
+        assert_eq!(tracer.counters().blocks_loaded, 0, "all blocks stay resident");
     }
 }
 

@@ -99,7 +99,7 @@ fn queries_allocate_nothing_whether_blocks_are_resident_or_not() {
         for (slots_max, leaf_layout) in
             [(2, LeafLayout::Expanded), (3, LeafLayout::Indexed), (1000, LeafLayout::Auto)]
         {
-            let source = Arc::new(DiskSource::open(&place.output()).unwrap());
+            let source = Arc::new(DiskSource::open(place.output()).unwrap());
             let options = OctreeOptions { slots_max: Some(slots_max), leaf_layout, ..Default::default() };
             let budget = MemoryBudget::new(Bytes::mib(256));
             let octree = LazyOctree::open(source, &budget, options).unwrap();
