@@ -9,6 +9,8 @@ mod avx2;
 mod boxes;
 mod lanes;
 mod level;
+#[cfg(test)]
+mod tests;
 mod triangles;
 
 pub use boxes::{BoxRay, Boxes, PackedBoxes, Parallel, ParallelAxes};
