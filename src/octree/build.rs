@@ -283,16 +283,11 @@ impl<'a, S: Simd> Tree<'a, S> {
         let mut runs = [task.run; LANES];
         let mut count = 1;
         loop {
-            // The largest run that is too long for a leaf; at first the node itself.
-            let mut largest = None;
-            let mut largest_area = f32::NEG_INFINITY;
-            for (i, run) in runs[..count].iter().enumerate() {
-                let area = run.area();
-                // An area that overflowed to NaN is still taken.
-                if run.count() > L::LEAF_MAX && (area.is_nan() || area > largest_area) {
-                    (largest, largest_area) = (Some(i), area);
-                }
-            }
+            // The largest run that is too long for a leaf; at first the node itself. Then lanes that are still free take
+            // leaves apart that would be more than one packet: that costs no further node, and a ray tests only the part
+            // that it meets.
+            let largest = largest_run(&runs[..count], L::LEAF_MAX)
+                .or_else(|| largest_run(&runs[..count], L::LEAF_MAX.min(LANES)));
             let Some(largest) = largest else { break };
             let planes = match LANES - count {
                 0 => break,
@@ -411,6 +406,20 @@ impl<'a, S: Simd> Tree<'a, S> {
         }
         used
     }
+}
+
+/// The run with the largest box of those with more than `count_min` primitives.
+fn largest_run(runs: &[Run], count_min: usize) -> Option<usize> {
+    let mut largest = None;
+    let mut largest_area = f32::NEG_INFINITY;
+    for (i, run) in runs.iter().enumerate() {
+        let area = run.area();
+        // An area that overflowed to NaN is still taken.
+        if run.count() > count_min && (area.is_nan() || area > largest_area) {
+            (largest, largest_area) = (Some(i), area);
+        }
+    }
+    largest
 }
 
 /// Twice the centre in lanes 0 to 2, its negative in lanes 4 to 6.
