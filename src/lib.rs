@@ -22,6 +22,7 @@
 //! 1. [`compile`]: triangles to a compiled file in bounded memory
 //! 1. [`source`]: where a block's bytes come from
 //! 1. [`cache`]: blocks in preallocated slots
+//! 1. [`access`]: recorded block accesses, and what they say about memory
 //! 1. [`octree`]: the lazy octree
 //! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
@@ -29,6 +30,7 @@
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
+pub mod access;
 pub mod block;
 pub mod budget;
 pub mod cache;

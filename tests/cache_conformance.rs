@@ -1,15 +1,12 @@
 //! What every `GeometryCache` must do, whatever is inside. A new implementation or policy adds a line at the end.
 
-#[path = "support/clock.rs"]
-mod clock;
-
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread;
 
 use outcrop::MemoryBudget;
-use outcrop::cache::{GeometryCache, Lru, ReplacementPolicy, SlotCache};
+use outcrop::cache::{Clock, GeometryCache, Lru, ReplacementPolicy, S3Fifo, SlotCache};
 use outcrop::error::LoadError;
 use outcrop::units::{BlockId, Bytes};
 
@@ -257,7 +254,12 @@ fn slot_cache_with_lru() {
 
 #[test]
 fn slot_cache_with_clock() {
-    conforms(&slot_cache::<clock::Clock>);
+    conforms(&slot_cache::<Clock>);
+}
+
+#[test]
+fn slot_cache_with_s3_fifo() {
+    conforms(&slot_cache::<S3Fifo>);
 }
 
 #[test]

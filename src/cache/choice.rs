@@ -1,0 +1,101 @@
+//! A policy chosen when the program runs.
+
+use std::sync::Arc;
+
+use crate::budget::MemoryBudget;
+use crate::error::BudgetError;
+use crate::units::Bytes;
+
+use super::{Clock, GeometryCache, Lru, ReplacementPolicy, S3Fifo, SlotCache};
+
+/// The replacement policies of this room, for callers that choose among them. Hits never depend on it, only how often
+/// a block is loaded does; `docs/results/policies.md` has the figures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Policy {
+    /// See [`Lru`].
+    #[default]
+    Lru,
+    /// See [`Clock`].
+    Clock,
+    /// See [`S3Fifo`].
+    S3Fifo,
+}
+
+/// Something to be done with a policy whose type is known only inside: [`Policy::with`].
+pub(crate) trait WithPolicy {
+    type Output;
+
+    fn run<P: ReplacementPolicy + Default>(self) -> Self::Output;
+}
+
+impl Policy {
+    /// All of them.
+    pub const ALL: [Policy; 3] = [Policy::Lru, Policy::Clock, Policy::S3Fifo];
+
+    /// Its usual name, in lower case: `lru`, `clock`, `s3-fifo`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Policy::Lru => "lru",
+            Policy::Clock => "clock",
+            Policy::S3Fifo => "s3-fifo",
+        }
+    }
+
+    pub(crate) fn with<W: WithPolicy>(self, work: W) -> W::Output {
+        match self {
+            Policy::Lru => work.run::<Lru>(),
+            Policy::Clock => work.run::<Clock>(),
+            Policy::S3Fifo => work.run::<S3Fifo>(),
+        }
+    }
+
+    /// [`SlotCache::footprint`] with this policy.
+    pub fn footprint(self, slot_count: u32, slot_bytes: Bytes, block_count: u32) -> Bytes {
+        self.with(Footprint { slot_count, slot_bytes, block_count })
+    }
+
+    /// [`SlotCache::new`] with this policy.
+    ///
+    /// # Errors
+    /// As for [`SlotCache::new`].
+    pub fn cache(
+        self,
+        slot_count: u32,
+        slot_bytes: Bytes,
+        block_count: u32,
+        budget: &MemoryBudget,
+    ) -> Result<Arc<dyn GeometryCache>, BudgetError> {
+        self.with(Make { slot_count, slot_bytes, block_count, budget })
+    }
+}
+
+struct Footprint {
+    slot_count: u32,
+    slot_bytes: Bytes,
+    block_count: u32,
+}
+
+impl WithPolicy for Footprint {
+    type Output = Bytes;
+
+    fn run<P: ReplacementPolicy + Default>(self) -> Bytes {
+        SlotCache::<P>::footprint(self.slot_count, self.slot_bytes, self.block_count)
+    }
+}
+
+struct Make<'b> {
+    slot_count: u32,
+    slot_bytes: Bytes,
+    block_count: u32,
+    budget: &'b MemoryBudget,
+}
+
+impl WithPolicy for Make<'_> {
+    type Output = Result<Arc<dyn GeometryCache>, BudgetError>;
+
+    fn run<P: ReplacementPolicy + Default>(self) -> Self::Output {
+        let Make { slot_count, slot_bytes, block_count, budget } = self;
+        Ok(Arc::new(SlotCache::new(slot_count, slot_bytes, block_count, P::default(), budget)?))
+    }
+}
