@@ -12,6 +12,7 @@
 //! 1. [`units`]: newtypes that cross room borders
 //! 1. [`error`]: every way in which the library can fail
 //! 1. [`budget`]: the one budget that all memory draws on
+//! 1. [`free_memory`]: what the system has left
 //! 1. [`stats`]: exact counters
 //! 1. [`geom`]: rays, boxes, triangles, exact predicates, the lattice; numbers only
 //! 1. [`simd`]: eight lanes
@@ -36,6 +37,7 @@ pub mod budget;
 pub mod cache;
 pub mod compile;
 pub mod error;
+pub mod free_memory;
 pub mod geom;
 pub mod import;
 pub mod model;

@@ -6,8 +6,9 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread;
 
 use outcrop::MemoryBudget;
-use outcrop::cache::{Clock, GeometryCache, Lru, ReplacementPolicy, S3Fifo, SlotCache};
+use outcrop::cache::{Clock, FollowingCache, GeometryCache, Lru, ReplacementPolicy, S3Fifo, SlotCache};
 use outcrop::error::LoadError;
+use outcrop::free_memory::{FollowFreeMemory, FreeMemory, FreeMemoryReading};
 use outcrop::units::{BlockId, Bytes};
 
 /// Makes an empty cache of so many slots, of at least so many bytes, for so many blocks.
@@ -260,6 +261,25 @@ fn slot_cache_with_clock() {
 #[test]
 fn slot_cache_with_s3_fifo() {
     conforms(&slot_cache::<S3Fifo>);
+}
+
+/// As much memory as anybody could want.
+struct Ample;
+
+impl FreeMemory for Ample {
+    fn read(&self) -> Option<FreeMemoryReading> {
+        Some(FreeMemoryReading { available: Bytes(u64::MAX), pressure_percent: 0.0 })
+    }
+}
+
+#[test]
+fn following_cache_with_ample_memory() {
+    conforms(&|slots, bytes, blocks| {
+        let budget = MemoryBudget::new(Bytes::mib(1));
+        let cache = SlotCache::new(slots, Bytes(bytes), blocks, Lru::new(), &budget).unwrap();
+        let follow = FollowFreeMemory { keep_free: Bytes::mib(64) };
+        Box::new(FollowingCache::new(cache, Box::new(Ample), follow, 1))
+    });
 }
 
 #[test]

@@ -19,6 +19,7 @@ use common::memory_log::MemoryLog;
 use common::progress::Meter;
 use options::{Command, Options, SourceKind};
 use outcrop::access::{AccessTrace, MissRatioCurve};
+use outcrop::free_memory::FollowFreeMemory;
 use outcrop::model::Model;
 use outcrop::octree::{LazyOctree, OctreeOptions};
 use outcrop::render::{Control, Outcome, RenderSettings, RenderedImage, Renderer, Threads};
@@ -128,6 +129,7 @@ fn render(
             leaf_layout: options.leaf_layout,
             slots_max: options.slots_max,
             policy: options.policy,
+            follow_free_memory: options.keep_free.map(|keep_free| FollowFreeMemory { keep_free }),
         },
     )?;
     drop(set_aside);

@@ -39,6 +39,7 @@ resources
     --threads N             all of the machine's if not given
     --source KIND           disk (reads that leave no page cache), cached, mmap or memory (disk)
     --slots N               at most N cache slots
+    --keep-free BYTES       let the cache follow the system's free memory and leave so much to others
     --policy KIND           which block makes room: lru, clock or s3-fifo (lru)
     --leaves KIND           expanded or indexed; by the budget if not given
     --simd KIND             avx2 or portable; the best here if not given
@@ -90,6 +91,7 @@ pub struct Options {
     pub source: SourceKind,
     pub slots_max: Option<u32>,
     pub policy: Policy,
+    pub keep_free: Option<Bytes>,
     pub leaf_layout: LeafLayout,
     pub simd: Option<SimdLevel>,
     pub tier: Tier,
@@ -147,6 +149,7 @@ impl Options {
                     options.source = arguments.choice(&kinds)?;
                 }
                 "--slots" => options.slots_max = Some(arguments.value()?),
+                "--keep-free" => options.keep_free = Some(arguments.value()?),
                 "--policy" => {
                     options.policy = arguments.choice(&Policy::ALL.map(|kind| (kind.name(), kind)))?
                 }
@@ -261,6 +264,7 @@ impl Default for Options {
             source: SourceKind::Disk,
             slots_max: None,
             policy: Policy::Lru,
+            keep_free: None,
             leaf_layout: LeafLayout::Auto,
             simd: None,
             tier: Tier::Certified,

@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use crate::budget::MemoryBudget;
 use crate::error::BudgetError;
+use crate::free_memory::{FollowFreeMemory, SystemMemory};
 use crate::units::Bytes;
 
-use super::{Clock, GeometryCache, Lru, ReplacementPolicy, S3Fifo, SlotCache};
+use super::{Clock, FollowingCache, GeometryCache, Lru, ReplacementPolicy, S3Fifo, SlotCache};
 
 /// The replacement policies of this room, for callers that choose among them. Hits never depend on it, only how often
 /// a block is loaded does; `docs/results/policies.md` has the figures.
@@ -55,7 +56,8 @@ impl Policy {
         self.with(Footprint { slot_count, slot_bytes, block_count })
     }
 
-    /// [`SlotCache::new`] with this policy.
+    /// [`SlotCache::new`] with this policy, as a [`FollowingCache`] of the [`SystemMemory`] if `follow` says so; then
+    /// `slots_min` is how many slots it keeps in any case.
     ///
     /// # Errors
     /// As for [`SlotCache::new`].
@@ -65,8 +67,9 @@ impl Policy {
         slot_bytes: Bytes,
         block_count: u32,
         budget: &MemoryBudget,
+        follow: Option<(FollowFreeMemory, u32)>,
     ) -> Result<Arc<dyn GeometryCache>, BudgetError> {
-        self.with(Make { slot_count, slot_bytes, block_count, budget })
+        self.with(Make { slot_count, slot_bytes, block_count, budget, follow })
     }
 }
 
@@ -89,13 +92,20 @@ struct Make<'b> {
     slot_bytes: Bytes,
     block_count: u32,
     budget: &'b MemoryBudget,
+    follow: Option<(FollowFreeMemory, u32)>,
 }
 
 impl WithPolicy for Make<'_> {
     type Output = Result<Arc<dyn GeometryCache>, BudgetError>;
 
     fn run<P: ReplacementPolicy + Default>(self) -> Self::Output {
-        let Make { slot_count, slot_bytes, block_count, budget } = self;
-        Ok(Arc::new(SlotCache::new(slot_count, slot_bytes, block_count, P::default(), budget)?))
+        let Make { slot_count, slot_bytes, block_count, budget, follow } = self;
+        let cache = SlotCache::new(slot_count, slot_bytes, block_count, P::default(), budget)?;
+        Ok(match follow {
+            None => Arc::new(cache),
+            Some((follow, slots_min)) => {
+                Arc::new(FollowingCache::new(cache, Box::new(SystemMemory::new()), follow, slots_min))
+            }
+        })
     }
 }

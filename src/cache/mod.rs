@@ -9,6 +9,7 @@
 mod arena;
 mod choice;
 mod clock;
+mod following;
 mod geometry_cache;
 mod ghosts;
 mod lru;
@@ -26,6 +27,7 @@ mod schedules;
 
 pub use choice::Policy;
 pub use clock::Clock;
+pub use following::FollowingCache;
 pub use geometry_cache::{CacheStats, GeometryCache};
 pub use lru::Lru;
 pub use pin::{Pin, PinOwner};

@@ -97,13 +97,14 @@ impl LazyOctree {
             }));
         }
         let slot_bytes = parts.slot_bytes(expanded);
-        let cache = options.policy.cache(slot_count, slot_bytes, block_count, budget)?;
+        let follow = options.follow_free_memory.map(|follow| (follow, slots_least));
+        let cache = options.policy.cache(slot_count, slot_bytes, block_count, budget, follow)?;
         Ok(parts.finish(source, cache, expanded, budget, &options))
     }
 
     /// Opens an octree over a cache that the caller made, for example with a replacement policy of its own. The cache must
     /// be for this model's blocks and used for nothing else; its slots must have at least [`LazyOctree::slot_bytes`].
-    /// `slots_max` and `policy` are not used, and `LeafLayout::Auto` means expanded if the slots are large enough.
+    /// `slots_max`, `policy` and `follow_free_memory` are not used, and `LeafLayout::Auto` means expanded if the slots are large enough.
     ///
     /// # Errors
     /// [`TraceError::Budget`] if the coarse tree does not fit in the budget, the slots are too small, or there are

@@ -1,6 +1,7 @@
 //! What a caller can choose when an octree is opened.
 
 use crate::cache::Policy;
+use crate::free_memory::FollowFreeMemory;
 use crate::simd::SimdLevel;
 
 /// How sure a hit is.
@@ -42,6 +43,9 @@ pub struct OctreeOptions {
     pub slots_max: Option<u32>,
     /// Which block makes room for a missing one. Used by [`LazyOctree::open`](super::LazyOctree::open) only.
     pub policy: Policy,
+    /// Lets the slots in use follow the free memory of the system, up to what the budget holds; see
+    /// [`FollowingCache`](crate::cache::FollowingCache). Used by [`LazyOctree::open`](super::LazyOctree::open) only.
+    pub follow_free_memory: Option<FollowFreeMemory>,
 }
 
 impl Default for OctreeOptions {
@@ -53,6 +57,7 @@ impl Default for OctreeOptions {
             tier: Tier::Certified,
             slots_max: None,
             policy: Policy::Lru,
+            follow_free_memory: None,
         }
     }
 }
