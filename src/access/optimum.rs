@@ -51,7 +51,7 @@ pub fn optimum_loads(trace: &AccessTrace, slot_count: u32) -> u64 {
         }
         farthest.push((next_use, *block));
         if farthest.len() > 4 * slot_count as usize + 1024 {
-            farthest = farthest.into_iter().filter(|(time, of)| following[*of as usize] == *time).collect();
+            farthest.retain(|(time, of)| following[*of as usize] == *time);
         }
     }
     loads
