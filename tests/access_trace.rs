@@ -11,12 +11,13 @@ mod support;
 use std::io::{self, Write};
 use std::sync::Arc;
 
-use access_model::{Shared, compare, record};
+use access_model::{Query, Shared, compare, record};
 use compiling::{Mesh, compile};
 use outcrop::access::{AccessRecorder, AccessTrace, MissRatioCurve, QueryKind, optimum_loads, replay};
 use outcrop::cache::Policy;
 use outcrop::compile::CompileOptions;
 use outcrop::error::AccessTraceError;
+use outcrop::free_memory::FollowFreeMemory;
 use outcrop::geom::Ray;
 use outcrop::octree::{LazyOctree, OctreeOptions};
 use outcrop::procedural::Terrain;
@@ -28,7 +29,7 @@ use proptest::prelude::*;
 use support::Random;
 
 /// A trace with all that the format has: two streams, both kinds, empty queries, repetitions, more than one chunk.
-fn sample(queries: usize) -> (Vec<u8>, Vec<(u32, QueryKind, Vec<u32>)>) {
+fn sample(queries: usize) -> (Vec<u8>, Vec<Query>) {
     let mut random = Random(7);
     let mut any = move |count: u64| (random.next() % count) as u32;
     let mut queries: Vec<_> = (0..queries)
@@ -215,4 +216,22 @@ fn a_replay_loads_what_a_run_loads() {
     assert!(curve.loads_per_touched_block(need.slots - 1) > 1.5);
     assert!(need.bytes >= Bytes(u64::from(need.slots) * trace.slot_bytes().0));
     assert!(curve.memory_need(0.5).is_none());
+}
+
+/// The system never has as much free as is to be kept free: the cache makes do with the least, and answers are the same.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_cache_that_may_take_nothing_answers_the_same() {
+    let source = terrain();
+    let open = |follow_free_memory| {
+        let options = OctreeOptions { follow_free_memory, ..Default::default() };
+        LazyOctree::open(Arc::clone(&source), &MemoryBudget::new(Bytes::mib(256)), options).unwrap()
+    };
+    let (reference, loads) = run(&open(None));
+    let keep_free = Some(FollowFreeMemory { keep_free: Bytes(u64::MAX) });
+    let scarce = open(keep_free);
+    assert_eq!(scarce.cache().slot_limit(), 1);
+    let (answers, scarce_loads) = run(&scarce);
+    assert_eq!(answers, reference);
+    assert!(scarce_loads > loads, "{scarce_loads} and {loads} loads");
 }

@@ -69,7 +69,8 @@ fn compare<P: ReplacementPolicy>(mut policy: P, mut naive: impl Naive, slots: u3
             }
             (0 | 1, _) => {
                 // Every so often all slots are pinned, or a part of them.
-                let refused = |slot: u32| mask < 60 && (slot + u32::from(mask)) % 4 != 0 || mask == 60;
+                let refused =
+                    |slot: u32| mask < 60 && !(slot + u32::from(mask)).is_multiple_of(4) || mask == 60;
                 let mut victim = None;
                 policy.victim(&mut |slot| {
                     let taken = !refused(slot);
