@@ -265,6 +265,45 @@ pub enum LoadError {
     },
 }
 
+/// A trace of block accesses could not be written or read. Offsets are from the start of the file.
+#[derive(Debug, thiserror::Error)]
+pub enum AccessTraceError {
+    /// The operating system failed.
+    #[error("cannot read or write the access trace: {0}")]
+    Io(#[source] io::Error),
+    /// The model has more blocks than a trace can be of.
+    #[error(
+        "a trace of {block_count} blocks cannot be recorded: {limit} are the most; compile with larger blocks"
+    )]
+    TooManyBlocks {
+        /// In the model.
+        block_count: u32,
+        /// For a trace.
+        limit: u32,
+    },
+    /// Not a trace at all.
+    #[error("not an access trace (it does not start with its signature); record one first")]
+    NotATrace,
+    /// A version that this library does not read.
+    #[error(
+        "access trace version {found} is not supported (this library reads version {supported}); record it again"
+    )]
+    Version {
+        /// In the file.
+        found: u32,
+        /// By this library.
+        supported: u32,
+    },
+    /// Bytes that cannot be right.
+    #[error("the access trace is damaged at byte {offset}: {reason}; record it again")]
+    Damaged {
+        /// Where in the file.
+        offset: u64,
+        /// What is wrong there.
+        reason: &'static str,
+    },
+}
+
 /// A query or an octree could not be set up or answered.
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
@@ -336,4 +375,7 @@ pub enum Error {
     /// See [`RenderError`].
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// See [`AccessTraceError`].
+    #[error(transparent)]
+    AccessTrace(#[from] AccessTraceError),
 }

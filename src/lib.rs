@@ -12,6 +12,7 @@
 //! 1. [`units`]: newtypes that cross room borders
 //! 1. [`error`]: every way in which the library can fail
 //! 1. [`budget`]: the one budget that all memory draws on
+//! 1. [`free_memory`]: what the system has left
 //! 1. [`stats`]: exact counters
 //! 1. [`geom`]: rays, boxes, triangles, exact predicates, the lattice; numbers only
 //! 1. [`simd`]: eight lanes
@@ -22,6 +23,7 @@
 //! 1. [`compile`]: triangles to a compiled file in bounded memory
 //! 1. [`source`]: where a block's bytes come from
 //! 1. [`cache`]: blocks in preallocated slots
+//! 1. [`access`]: recorded block accesses, and what they say about memory
 //! 1. [`octree`]: the lazy octree
 //! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
@@ -29,11 +31,13 @@
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
+pub mod access;
 pub mod block;
 pub mod budget;
 pub mod cache;
 pub mod compile;
 pub mod error;
+pub mod free_memory;
 pub mod geom;
 pub mod import;
 pub mod model;

@@ -1,16 +1,14 @@
 //! What every `GeometryCache` must do, whatever is inside. A new implementation or policy adds a line at the end.
 
-#[path = "support/clock.rs"]
-mod clock;
-
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread;
 
 use outcrop::MemoryBudget;
-use outcrop::cache::{GeometryCache, Lru, ReplacementPolicy, SlotCache};
+use outcrop::cache::{Clock, FollowingCache, GeometryCache, Lru, ReplacementPolicy, S3Fifo, SlotCache};
 use outcrop::error::LoadError;
+use outcrop::free_memory::{FollowFreeMemory, FreeMemory, FreeMemoryReading};
 use outcrop::units::{BlockId, Bytes};
 
 /// Makes an empty cache of so many slots, of at least so many bytes, for so many blocks.
@@ -257,7 +255,31 @@ fn slot_cache_with_lru() {
 
 #[test]
 fn slot_cache_with_clock() {
-    conforms(&slot_cache::<clock::Clock>);
+    conforms(&slot_cache::<Clock>);
+}
+
+#[test]
+fn slot_cache_with_s3_fifo() {
+    conforms(&slot_cache::<S3Fifo>);
+}
+
+/// As much memory as anybody could want.
+struct Ample;
+
+impl FreeMemory for Ample {
+    fn read(&self) -> Option<FreeMemoryReading> {
+        Some(FreeMemoryReading { available: Bytes(u64::MAX), pressure_percent: 0.0 })
+    }
+}
+
+#[test]
+fn following_cache_with_ample_memory() {
+    conforms(&|slots, bytes, blocks| {
+        let budget = MemoryBudget::new(Bytes::mib(1));
+        let cache = SlotCache::new(slots, Bytes(bytes), blocks, Lru::new(), &budget).unwrap();
+        let follow = FollowFreeMemory { keep_free: Bytes::mib(64) };
+        Box::new(FollowingCache::new(cache, Box::new(Ample), follow, 1))
+    });
 }
 
 #[test]

@@ -7,6 +7,9 @@ mod options;
 mod summary;
 
 use std::error::Error;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -15,6 +18,8 @@ use common::interrupt::Interrupt;
 use common::memory_log::MemoryLog;
 use common::progress::Meter;
 use options::{Command, Options, SourceKind};
+use outcrop::access::{AccessTrace, MissRatioCurve};
+use outcrop::free_memory::FollowFreeMemory;
 use outcrop::model::Model;
 use outcrop::octree::{LazyOctree, OctreeOptions};
 use outcrop::render::{Control, Outcome, RenderSettings, RenderedImage, Renderer, Threads};
@@ -85,7 +90,7 @@ fn job(
     })
 }
 
-fn open(options: &Options, path: &std::path::Path) -> Result<Arc<dyn BlockSource>, Box<dyn Error>> {
+fn open(options: &Options, path: &Path) -> Result<Arc<dyn BlockSource>, Box<dyn Error>> {
     Ok(match options.source {
         SourceKind::Disk => Arc::new(DiskSource::open_with(path, PageCache::Bypass)?),
         SourceKind::Cached => Arc::new(DiskSource::open_with(path, PageCache::Use)?),
@@ -114,7 +119,7 @@ fn render(
     // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
     let set_aside = budget.reserve(picture_bytes, "the picture")?;
-    let octree = LazyOctree::open(
+    let mut octree = LazyOctree::open(
         source,
         budget,
         OctreeOptions {
@@ -123,16 +128,32 @@ fn render(
             tier: options.tier,
             leaf_layout: options.leaf_layout,
             slots_max: options.slots_max,
+            policy: options.policy,
+            follow_free_memory: options.keep_free.map(|keep_free| FollowFreeMemory { keep_free }),
         },
     )?;
     drop(set_aside);
+    let recording = match &options.record_accesses {
+        Some(path) => Some((path, octree.record_accesses(Box::new(BufWriter::new(create(path)?)))?)),
+        None => None,
+    };
     summary.opened(&octree, picture_bytes);
     let renderer = Renderer::new(&octree, &scene, &settings, budget)?;
     let mut progress = |progress: outcrop::render::Progress| {
         meter.set("rendering", progress.samples as f64 / progress.samples_total as f64);
         if interrupt.is_requested() { Control::Cancel } else { Control::Continue }
     };
-    Ok(renderer.render(&threads, &mut progress)?)
+    let image = renderer.render(&threads, &mut progress)?;
+    if let Some((path, recorder)) = recording {
+        recorder.finish()?;
+        meter.finish();
+        summary.accesses(path, &MissRatioCurve::of(&AccessTrace::open(path)?));
+    }
+    Ok(image)
+}
+
+fn create(path: &Path) -> Result<File, String> {
+    File::create(path).map_err(|error| format!("cannot write {}: {error}", path.display()))
 }
 
 fn settings(options: &Options) -> RenderSettings {

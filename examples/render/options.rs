@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 
 use outcrop::block::Codec;
+use outcrop::cache::Policy;
 use outcrop::compile::PrecisionChoice;
 use outcrop::octree::{LeafLayout, Tier};
 use outcrop::render::ImageFormat;
@@ -38,6 +39,8 @@ resources
     --threads N             all of the machine's if not given
     --source KIND           disk (reads that leave no page cache), cached, mmap or memory (disk)
     --slots N               at most N cache slots
+    --keep-free BYTES       let the cache follow the system's free memory and leave so much to others
+    --policy KIND           which block makes room: lru, clock or s3-fifo (lru)
     --leaves KIND           expanded or indexed; by the budget if not given
     --simd KIND             avx2 or portable; the best here if not given
     --fast                  hits in f32 without a guarantee
@@ -50,6 +53,7 @@ compiled file
     --precision KIND        auto, float32, or the exponent E of a lattice of spacing 2^E (auto)
 report
     --stats FILE.json       everything that is printed and more
+    --record-accesses FILE  which blocks each query enters, and how much memory the view needs
     --memory-log FILE.csv   memory over time, and a plot of it as FILE.svg
 ";
 
@@ -86,6 +90,8 @@ pub struct Options {
     pub threads: u32,
     pub source: SourceKind,
     pub slots_max: Option<u32>,
+    pub policy: Policy,
+    pub keep_free: Option<Bytes>,
     pub leaf_layout: LeafLayout,
     pub simd: Option<SimdLevel>,
     pub tier: Tier,
@@ -96,6 +102,7 @@ pub struct Options {
     pub codec: Option<Codec>,
     pub precision: Option<PrecisionChoice>,
     pub stats: Option<PathBuf>,
+    pub record_accesses: Option<PathBuf>,
     pub memory_log: Option<PathBuf>,
 }
 
@@ -142,6 +149,10 @@ impl Options {
                     options.source = arguments.choice(&kinds)?;
                 }
                 "--slots" => options.slots_max = Some(arguments.value()?),
+                "--keep-free" => options.keep_free = Some(arguments.value()?),
+                "--policy" => {
+                    options.policy = arguments.choice(&Policy::ALL.map(|kind| (kind.name(), kind)))?
+                }
                 "--leaves" => {
                     let kinds = [("expanded", LeafLayout::Expanded), ("indexed", LeafLayout::Indexed)];
                     options.leaf_layout = arguments.choice(&kinds)?;
@@ -178,6 +189,7 @@ impl Options {
                     });
                 }
                 "--stats" => options.stats = Some(arguments.path()?),
+                "--record-accesses" => options.record_accesses = Some(arguments.path()?),
                 "--memory-log" => options.memory_log = Some(arguments.path()?),
                 _ => return Err(format!("{name}: no such option; --help lists them").into()),
             }
@@ -251,6 +263,8 @@ impl Default for Options {
             threads: thread::available_parallelism().map_or(1, |count| count.get() as u32),
             source: SourceKind::Disk,
             slots_max: None,
+            policy: Policy::Lru,
+            keep_free: None,
             leaf_layout: LeafLayout::Auto,
             simd: None,
             tier: Tier::Certified,
@@ -261,6 +275,7 @@ impl Default for Options {
             codec: None,
             precision: None,
             stats: None,
+            record_accesses: None,
             memory_log: None,
         }
     }

@@ -4,6 +4,7 @@ use std::error::Error;
 use std::path::Path;
 
 use outcrop::MemoryBudget;
+use outcrop::access::MissRatioCurve;
 use outcrop::compile::{CompileReport, Seconds};
 use outcrop::octree::LazyOctree;
 use outcrop::render::{Outcome, RenderReport, RenderedImage};
@@ -81,6 +82,26 @@ impl Summary {
             "slot_bytes": octree.cache().slot_bytes().0,
             "blocks": blocks,
         });
+    }
+
+    /// How much memory the view needs, by a recorded trace.
+    pub fn accesses(&mut self, path: &Path, curve: &MissRatioCurve) {
+        println!(
+            "accesses  {} entries into {} written to {}",
+            grouped(curve.accesses()),
+            counted(curve.touched(), "block"),
+            path.display()
+        );
+        for loads in [1.0, 1.1, 1.5, 2.0, 4.0] {
+            let Some(need) = curve.memory_need(loads) else { continue };
+            println!(
+                "          {} ({}) of cache for at most {loads} loads per touched block",
+                need.bytes,
+                counted(need.slots.into(), "slot")
+            );
+            self.stats["memory_need"][loads.to_string()] =
+                json!({ "slots": need.slots, "bytes": need.bytes.0 });
+        }
     }
 
     pub fn rendered(&mut self, image: &RenderedImage, output: &Path) {

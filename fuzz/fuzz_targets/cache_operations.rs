@@ -7,9 +7,11 @@ use libfuzzer_sys::fuzz_target;
 mod cache_model;
 
 use cache_model::{Op, run};
+use outcrop::cache::Policy;
 
 fuzz_target!(|input: &[u8]| {
-    let [slots, blocks, rest @ ..] = input else { return };
+    let [policy, slots, blocks, rest @ ..] = input else { return };
+    let policy = Policy::ALL[usize::from(*policy) % Policy::ALL.len()];
     let ops: Vec<Op> = rest.chunks_exact(2).map(|pair| Op::from_bytes(pair[0], pair[1])).collect();
-    run(u32::from(slots % 17), 1 + u32::from(blocks % 48), &ops);
+    run(policy, u32::from(slots % 17), 1 + u32::from(blocks % 48), &ops);
 });

@@ -190,6 +190,35 @@ impl<S: Primitives> Arena<S> {
     }
 }
 
+impl<S: Primitives> Arena<S> {
+    /// Gives the memory of a free slot back to the operating system, which hands out zeroed pages when the slot is next
+    /// written to. Whole pages only: what a slot shares with its neighbours stays. Does nothing but on Linux.
+    pub(super) fn discard(&self, slot: &mut FreeSlot) {
+        #[cfg(target_os = "linux")]
+        {
+            assert_eq!(slot.home, self.first_slot.addr().get(), "a slot of another arena");
+            let start = self.slot(slot.index);
+            let page = rustix::param::page_size();
+            let before_page = start.align_offset(page);
+            let whole_pages = self.slot_bytes.saturating_sub(before_page) / page * page;
+            if whole_pages > 0 {
+                // SAFETY: `before_page + whole_pages` is at most the slot's size, so all is inside the slot.
+                let pages = unsafe { start.add(before_page) };
+                // SAFETY: the pages are inside the slot, to which `slot` is the exclusive right, so nothing reads or writes them
+                // meanwhile. They are private anonymous memory of the allocator and read as zeros afterwards, or, if the kernel
+                // refuses, as before: initialised both times. The allocation itself stays.
+                let advised = unsafe {
+                    rustix::mm::madvise(pages.as_ptr().cast(), whole_pages, rustix::mm::Advice::LinuxDontNeed)
+                };
+                // Refused for locked memory, say: then it stays, which is what its owner asked for.
+                let _ = advised;
+            }
+        }
+        #[cfg(not(target_os = "linux"))]
+        let _ = slot;
+    }
+}
+
 impl<S: Primitives> Drop for Arena<S> {
     fn drop(&mut self) {
         // SAFETY: allocated in `new` with this layout; nothing borrows from the arena any more.

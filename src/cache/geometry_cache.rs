@@ -38,6 +38,11 @@ pub trait GeometryCache: Send + Sync {
     /// How many slots there are.
     fn slot_count(&self) -> u32;
 
+    /// How many of them may be in use now: all, unless the cache follows the free memory.
+    fn slot_limit(&self) -> u32 {
+        self.slot_count()
+    }
+
     /// Size of each slot.
     fn slot_bytes(&self) -> Bytes;
 

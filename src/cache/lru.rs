@@ -3,21 +3,16 @@
 use crate::units::BlockId;
 
 use super::ReplacementPolicy;
+use super::rings::Rings;
 
-/// Evicts the block whose last pin is the longest ago. A doubly linked list through the slots, so that every event
-/// is a few writes.
+/// Evicts the block whose last use is the longest ago.
 #[derive(Debug, Default)]
 pub struct Lru {
-    /// One link per slot and a last one that closes the ring: its `newer` is the least recently used slot, its
-    /// `older` the most recently used one.
-    links: Vec<Link>,
+    slots: Rings,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Link {
-    older: u32,
-    newer: u32,
-}
+/// The only list.
+const BY_USE: u32 = 0;
 
 impl Lru {
     /// A policy for a cache yet to be made.
@@ -27,61 +22,35 @@ impl Lru {
 
     /// The resident slots, least recently used first.
     pub fn order(&self) -> impl Iterator<Item = u32> + '_ {
-        let end = self.end();
-        std::iter::successors(self.links.last().map(|link| link.newer), |slot| {
-            Some(self.links[*slot as usize].newer)
-        })
-        .take_while(move |slot| *slot != end)
-    }
-
-    /// Index of the link that closes the ring.
-    fn end(&self) -> u32 {
-        // Slot numbers are u32 and the ring has one link more than slots, so its last index fits.
-        self.links.len().saturating_sub(1) as u32
-    }
-
-    fn unlink(&mut self, slot: u32) {
-        let Link { older, newer } = self.links[slot as usize];
-        self.links[older as usize].newer = newer;
-        self.links[newer as usize].older = older;
-        // A link to itself: not resident.
-        self.links[slot as usize] = Link { older: slot, newer: slot };
-    }
-
-    fn link_newest(&mut self, slot: u32) {
-        let end = self.end();
-        let newest = self.links[end as usize].older;
-        self.links[slot as usize] = Link { older: newest, newer: end };
-        self.links[newest as usize].newer = slot;
-        self.links[end as usize].older = slot;
+        self.slots.iter(BY_USE)
     }
 }
 
 impl ReplacementPolicy for Lru {
-    const BYTES_PER_SLOT: u64 = size_of::<Link>() as u64;
+    const BYTES_PER_SLOT: u64 = Rings::BYTES_PER_SLOT;
 
     fn start(&mut self, slot_count: u32) {
-        self.links = (0..=slot_count).map(|slot| Link { older: slot, newer: slot }).collect();
+        self.slots = Rings::new(slot_count, 1);
     }
 
     fn admit(&mut self, slot: u32, _block: BlockId) {
-        self.link_newest(slot);
+        self.slots.push(BY_USE, slot);
     }
 
     fn hit(&mut self, slot: u32) {
-        self.unlink(slot);
-        self.link_newest(slot);
+        self.slots.remove(slot);
+        self.slots.push(BY_USE, slot);
     }
 
     fn victim(&mut self, evict: &mut dyn FnMut(u32) -> bool) {
         let victim = self.order().find(|slot| evict(*slot));
         if let Some(slot) = victim {
-            self.unlink(slot);
+            self.slots.remove(slot);
         }
     }
 
     fn is_resident(&self, slot: u32) -> bool {
-        self.links[slot as usize].newer != slot
+        self.slots.contains(slot)
     }
 }
 

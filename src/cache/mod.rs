@@ -7,10 +7,16 @@
 //! policy and waiting; `slot_cache` is the public face.
 
 mod arena;
+mod choice;
+mod clock;
+mod following;
 mod geometry_cache;
+mod ghosts;
 mod lru;
 mod pin;
 mod policy;
+mod rings;
+mod s3_fifo;
 mod shim;
 mod slot_cache;
 mod table;
@@ -19,8 +25,14 @@ mod word;
 #[cfg(test)]
 mod schedules;
 
+pub use choice::Policy;
+pub use clock::Clock;
+pub use following::FollowingCache;
 pub use geometry_cache::{CacheStats, GeometryCache};
 pub use lru::Lru;
 pub use pin::{Pin, PinOwner};
 pub use policy::ReplacementPolicy;
+pub use s3_fifo::S3Fifo;
 pub use slot_cache::SlotCache;
+
+pub(crate) use choice::WithPolicy;

@@ -304,3 +304,25 @@ fn a_load_in_progress_is_waited_for_before_a_slot_is_refused() {
     };
     shuttle::check_random(program, 4000);
 }
+
+/// One thread takes slots away while others, which hold one pin each, need them: with a slot for each of them nobody is
+/// refused, whatever the limit, and nobody waits forever for a slot that is on its way back.
+#[test]
+fn a_limit_that_comes_and_goes_refuses_nobody() {
+    let program = || {
+        let bench = Bench::new(2, 4);
+        run(&bench, 3, |bench, thread| {
+            if thread == 2 {
+                [0, 2, 1].into_iter().for_each(|limit| bench.table.limit_slots(limit));
+            } else {
+                for step in 0..3 {
+                    let block = (2 * thread + step) % 4;
+                    let pin = bench.pin(block, Outcome::Fill).unwrap_or_else(|error| panic!("{error}"));
+                    check(&pin);
+                }
+            }
+        });
+    };
+    shuttle::check_random(program, 8000);
+    shuttle::check_pct(program, 4000, 3);
+}

@@ -70,6 +70,19 @@ impl<P: ReplacementPolicy> SlotCache<P> {
         Bytes(bytes.unwrap_or(u64::MAX))
     }
 
+    /// From now on uses at most `limit` slots, evicting what is beyond it and giving its memory back to the operating
+    /// system (on Linux; whole pages). Never waits for a load or for a pin: slots that are pinned or being filled stay,
+    /// and a call that would otherwise fail with [`LoadError::NoSlot`] goes beyond the limit, never beyond
+    /// [`GeometryCache::slot_count`]. Call it again later for what could not be given back. May be called from any thread at any time.
+    pub fn limit_slots(&self, limit: u32) {
+        self.table.limit_slots(limit);
+    }
+
+    /// Slots that hold a block or are being filled.
+    pub fn slots_used(&self) -> u32 {
+        self.table.slots_used().0
+    }
+
     /// Checks that words, free slots and policy agree about every slot and every block; the first disagreement as
     /// text. For tests and fuzzing: takes the lock for as long as it takes to look at every block and slot.
     ///
@@ -100,6 +113,10 @@ impl<P: ReplacementPolicy> GeometryCache for SlotCache<P> {
 
     fn slot_count(&self) -> u32 {
         self.table.slot_count()
+    }
+
+    fn slot_limit(&self) -> u32 {
+        self.table.slots_used().1.min(self.slot_count())
     }
 
     fn slot_bytes(&self) -> Bytes {

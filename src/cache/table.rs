@@ -44,6 +44,10 @@ struct Ledger<P> {
     blocks: Vec<BlockId>,
     /// Slots being filled.
     loading: u32,
+    /// As many slots are to be in use at most, where pins allow it.
+    limit: u32,
+    /// Slots on their way from a block to `free`.
+    returning: u32,
     stats: CacheStats,
 }
 
@@ -66,10 +70,11 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
         policy.start(slot_count);
         let blocks = vec![BlockId(0); slot_count as usize];
         let word = || Padded(S::Word::new(0));
+        let (limit, stats) = (slot_count, CacheStats::default());
         Some(Table {
             arena,
             slot_count,
-            ledger: S::mutex(Ledger { policy, free, blocks, loading: 0, stats: CacheStats::default() }),
+            ledger: S::mutex(Ledger { policy, free, blocks, loading: 0, limit, returning: 0, stats }),
             loaded: std::array::from_fn(|_| S::condvar()),
             slot_changed: S::condvar(),
             seekers: word(),
@@ -139,7 +144,7 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
                         let loading = Some(self.arena.claim(block, slot));
                         return Ok(Claim::Mine(Filling { table: self, loading }));
                     }
-                    Search::AllPinned if ledger.loading == 0 => {
+                    Search::AllPinned if ledger.loading + ledger.returning == 0 => {
                         return Err(LoadError::NoSlot { slots: self.slot_count });
                     }
                     Search::AllPinned => &self.slot_changed,
@@ -166,10 +171,13 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
     /// the pin. So each slot that was seen pinned stands for a pin of its own that was held until the look ended, if a
     /// pin counts as held until its drop returns.
     fn take_slot<'t>(&'t self, ledger: &mut Ledger<P>, seeker: &mut Option<Seeker<'t, S>>) -> Search {
-        if let Some(slot) = ledger.free.pop() {
+        if ledger.used(self.slot_count) < ledger.limit
+            && let Some(slot) = ledger.free.pop()
+        {
             return Search::Found(slot);
         }
-        if let Some(slot) = self.evict(ledger) {
+        // All that may be in use is pinned: beyond the limit rather than not at all.
+        if let Some(slot) = self.evict(ledger).or_else(|| ledger.free.pop()) {
             return Search::Found(slot);
         }
         seeker.get_or_insert_with(|| Seeker::new(&self.seekers.0));
@@ -191,6 +199,29 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
             }
         });
         taken
+    }
+
+    /// See [`SlotCache::limit_slots`](super::SlotCache::limit_slots).
+    pub(super) fn limit_slots(&self, limit: u32) {
+        let mut ledger = S::lock(&self.ledger);
+        ledger.limit = limit;
+        while ledger.used(self.slot_count) > limit {
+            let Some(mut slot) = self.evict(&mut ledger) else { return };
+            ledger.returning += 1;
+            drop(ledger);
+            // Without the lock: the kernel takes its time for it.
+            self.arena.discard(&mut slot);
+            ledger = S::lock(&self.ledger);
+            ledger.returning -= 1;
+            ledger.free.push(slot);
+            S::notify_all(&self.slot_changed);
+        }
+    }
+
+    /// Slots that hold a block or will, and the limit.
+    pub(super) fn slots_used(&self) -> (u32, u32) {
+        let ledger = S::lock(&self.ledger);
+        (ledger.used(self.slot_count), ledger.limit)
     }
 
     /// See [`CacheStats`].
@@ -240,10 +271,16 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
                 return Err(format!("the policy has free slot {index}"));
             }
         }
-        match owners.iter().position(Option::is_none) {
-            Some(slot) => Err(format!("slot {slot} is lost")),
-            None => Ok(()),
-        }
+        let lost = owners.iter().filter(|owner| owner.is_none()).count();
+        if lost == ledger.returning as usize { Ok(()) } else { Err(format!("{lost} slots are lost")) }
+    }
+}
+
+impl<P> Ledger<P> {
+    /// Slots that are not free.
+    fn used(&self, slot_count: u32) -> u32 {
+        // There are no more free slots than slots, whose number is a u32.
+        slot_count - self.free.len() as u32
     }
 }
 

@@ -1,5 +1,6 @@
 //! [`LazyOctree`]: what a query needs, set up inside the budget.
 
+use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -9,10 +10,11 @@ use super::fine::FineLayout;
 use super::frame::{Frame, Space};
 use super::touched::TouchedBlocks;
 use super::{LeafLayout, OctreeOptions, Tier};
+use crate::access::AccessRecorder;
 use crate::block::{BlockData, DecodeScratch};
 use crate::budget::{MemoryBudget, Reservation};
-use crate::cache::{GeometryCache, Lru, SlotCache};
-use crate::error::{BudgetError, TraceError};
+use crate::cache::{GeometryCache, Policy};
+use crate::error::{AccessTraceError, BudgetError, TraceError};
 use crate::geom::Precision;
 use crate::model::Model;
 use crate::simd::SimdLevel;
@@ -37,6 +39,8 @@ pub struct LazyOctree {
     pub(crate) tier: Tier,
     pub(crate) budget: MemoryBudget,
     pub(crate) touched: TouchedBlocks,
+    /// Where tracers write down which blocks they enter, if anywhere.
+    pub(crate) accesses: Option<Arc<AccessRecorder>>,
     tracers_max: u32,
     tracer_count: AtomicU32,
     _directory: Reservation,
@@ -52,7 +56,7 @@ impl Drop for TracerPermit<'_> {
 }
 
 impl LazyOctree {
-    /// Opens an octree with an LRU cache of as many slots as the budget still holds after the directory, the coarse
+    /// Opens an octree with a cache of as many slots as the budget still holds after the directory, the coarse
     /// tree and the scratch of `tracers_max` tracers (never more than blocks, nor than `slots_max`). Reserve what else must fit
     /// in the budget before.
     ///
@@ -74,7 +78,7 @@ impl LazyOctree {
 
         let slots_of = |expanded: bool| {
             let bytes = parts.slot_bytes(expanded);
-            slots_that_fit(available, bytes, block_count).min(slots_max)
+            slots_that_fit(available, bytes, block_count, options.policy).min(slots_max)
         };
         let expanded = match options.leaf_layout {
             LeafLayout::Expanded => true,
@@ -83,9 +87,8 @@ impl LazyOctree {
         };
         let slot_count = slots_of(expanded);
         if slot_count < slots_least {
-            let needed = SlotCache::<Lru>::footprint(slots_least, parts.slot_bytes(expanded), block_count)
-                .0
-                .saturating_add(aside);
+            let footprint = options.policy.footprint(slots_least, parts.slot_bytes(expanded), block_count);
+            let needed = footprint.0.saturating_add(aside);
             return Err(TraceError::Budget(BudgetError {
                 purpose: "one cache slot and the scratch of each tracer",
                 needed: Bytes(needed),
@@ -94,13 +97,14 @@ impl LazyOctree {
             }));
         }
         let slot_bytes = parts.slot_bytes(expanded);
-        let cache = SlotCache::new(slot_count, slot_bytes, block_count, Lru::new(), budget)?;
-        Ok(parts.finish(source, Arc::new(cache), expanded, budget, &options))
+        let follow = options.follow_free_memory.map(|follow| (follow, slots_least));
+        let cache = options.policy.cache(slot_count, slot_bytes, block_count, budget, follow)?;
+        Ok(parts.finish(source, cache, expanded, budget, &options))
     }
 
-    /// Opens an octree over a cache that the caller made, for example with another replacement policy. The cache must
+    /// Opens an octree over a cache that the caller made, for example with a replacement policy of its own. The cache must
     /// be for this model's blocks and used for nothing else; its slots must have at least [`LazyOctree::slot_bytes`].
-    /// `slots_max` is not used, and `LeafLayout::Auto` means expanded if the slots are large enough.
+    /// `slots_max`, `policy` and `follow_free_memory` are not used, and `LeafLayout::Auto` means expanded if the slots are large enough.
     ///
     /// # Errors
     /// [`TraceError::Budget`] if the coarse tree does not fit in the budget, the slots are too small, or there are
@@ -137,6 +141,32 @@ impl LazyOctree {
             }
         }
         Ok(parts.finish(source, cache, expanded, budget, &options))
+    }
+
+    /// From now on, tracers write down which blocks each of their queries enters; see [`access`](crate::access). Call
+    /// [`AccessRecorder::finish`] when the tracers are dropped.
+    ///
+    /// A recorded trace does not depend on the cache. Hits are as ever; recording tracers keep no block pinned from query
+    /// to query, so they are slower, and their own loads are those of such tracers.
+    ///
+    /// # Errors
+    /// As for [`AccessRecorder::new`].
+    pub fn record_accesses(
+        &mut self,
+        writer: Box<dyn Write + Send>,
+    ) -> Result<Arc<AccessRecorder>, AccessTraceError> {
+        let block_count = self.model.blocks.len() as u32;
+        let recorder = AccessRecorder::new(writer, block_count, self.cache.slot_bytes())?;
+        self.accesses = Some(Arc::clone(&recorder));
+        Ok(recorder)
+    }
+
+    /// How many blocks a tracer keeps pinned: a quarter of its share of the slots, so that most slots stay free to be
+    /// replaced, as a power of two from 1 to 64.
+    pub fn pins_per_tracer(&self) -> u32 {
+        const PIN_COUNT_MAX: u32 = 64;
+        let share = self.cache.slot_count() / (4 * self.tracers_max.max(1));
+        1 << share.clamp(1, PIN_COUNT_MAX).ilog2()
     }
 
     /// Bytes of a slot that holds the tree of any block of `model`. `layout`: `Auto` is taken as `Expanded`.
@@ -253,6 +283,7 @@ impl Parts {
         LazyOctree {
             source,
             touched: TouchedBlocks::new(self.model.blocks.len()),
+            accesses: None,
             space: Space::new(self.model.bounds, self.coarse.frame),
             model: self.model,
             cache,
@@ -291,8 +322,8 @@ fn scale_of(model: &Model) -> f64 {
 }
 
 /// How many slots of `slot_bytes`, with the table over `block_count` blocks, fit in `available` bytes.
-fn slots_that_fit(available: u64, slot_bytes: Bytes, block_count: u32) -> u32 {
-    let fits = |count: u32| SlotCache::<Lru>::footprint(count, slot_bytes, block_count).0 <= available;
+fn slots_that_fit(available: u64, slot_bytes: Bytes, block_count: u32, policy: Policy) -> u32 {
+    let fits = |count: u32| policy.footprint(count, slot_bytes, block_count).0 <= available;
     // The footprint grows with the count: search for the last that fits.
     let (mut fitting, mut beyond) = (0u32, block_count.saturating_add(1));
     while beyond - fitting > 1 {

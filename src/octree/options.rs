@@ -1,5 +1,7 @@
 //! What a caller can choose when an octree is opened.
 
+use crate::cache::Policy;
+use crate::free_memory::FollowFreeMemory;
 use crate::simd::SimdLevel;
 
 /// How sure a hit is.
@@ -39,6 +41,11 @@ pub struct OctreeOptions {
     /// Most cache slots to make, to leave memory to others or to measure small caches. `None`: as many as the budget
     /// holds, never more than there are blocks. Used by [`LazyOctree::open`](super::LazyOctree::open) only.
     pub slots_max: Option<u32>,
+    /// Which block makes room for a missing one. Used by [`LazyOctree::open`](super::LazyOctree::open) only.
+    pub policy: Policy,
+    /// Lets the slots in use follow the free memory of the system, up to what the budget holds; see
+    /// [`FollowingCache`](crate::cache::FollowingCache). Used by [`LazyOctree::open`](super::LazyOctree::open) only.
+    pub follow_free_memory: Option<FollowFreeMemory>,
 }
 
 impl Default for OctreeOptions {
@@ -49,6 +56,8 @@ impl Default for OctreeOptions {
             simd: None,
             tier: Tier::Certified,
             slots_max: None,
+            policy: Policy::Lru,
+            follow_free_memory: None,
         }
     }
 }

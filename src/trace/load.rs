@@ -1,5 +1,6 @@
 //! Bringing blocks in: read, check, decode, build; and the pins that a tracer keeps.
 
+use crate::access::{AccessLog, QueryKind};
 use crate::block::{BlockData, DecodeScratch};
 use crate::cache::Pin;
 use crate::error::LoadError;
@@ -7,9 +8,6 @@ use crate::octree::{BuildScratch, LazyOctree, build};
 use crate::source::BlockSource;
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
-
-/// Most pins that a tracer keeps.
-const PIN_COUNT_MAX: u32 = 64;
 
 /// Memory for loading one block, allocated once.
 pub(super) struct LoadScratch {
@@ -54,14 +52,32 @@ impl LoadScratch {
 pub(super) struct Pins<'o> {
     places: Vec<Option<Pin<'o>>>,
     mask: u32,
+    /// Where accesses are written down, if anywhere.
+    log: Option<Box<AccessLog>>,
 }
 
 impl<'o> Pins<'o> {
-    /// With a quarter of the tracer's share of the slots, so that most slots stay free to be replaced; at least one.
     pub fn new(octree: &LazyOctree) -> Pins<'o> {
-        let share = octree.cache.slot_count() / (4 * octree.tracers_max().max(1));
-        let count = 1 << share.clamp(1, PIN_COUNT_MAX).ilog2();
-        Pins { places: (0..count).map(|_| None).collect(), mask: count - 1 }
+        let log = octree.accesses.as_ref().map(|recorder| Box::new(recorder.log()));
+        // What a recording tracer has pinned would not be written down.
+        let count = if log.is_some() { 1 } else { octree.pins_per_tracer() };
+        Pins { places: (0..count).map(|_| None).collect(), mask: count - 1, log }
+    }
+
+    /// To be called before each query: the log, if there is one, tells queries apart.
+    #[inline(always)]
+    pub fn begin_query(&mut self, kind: QueryKind) {
+        if self.log.is_some() {
+            self.begin_logged(kind);
+        }
+    }
+
+    #[cold]
+    fn begin_logged(&mut self, kind: QueryKind) {
+        self.clear();
+        if let Some(log) = &mut self.log {
+            log.begin(kind);
+        }
     }
 
     pub fn clear(&mut self) {
@@ -81,6 +97,9 @@ impl<'o> Pins<'o> {
         if place.as_ref().is_none_or(|pin| pin.block() != block) {
             // The old pin goes first: with one slot for each tracer there is none to spare.
             *place = None;
+            if let Some(log) = &mut self.log {
+                log.enter(block);
+            }
             *place = Some(pin(octree, block, scratch, counters)?);
         }
         match place {

@@ -6,6 +6,7 @@ use super::exact::ExactRay;
 use super::load::{LoadScratch, Pins};
 use super::stack::{Entries, UNUSED};
 use super::{Hit, MaterialSet, Occlusion};
+use crate::access::QueryKind;
 use crate::budget::Reservation;
 use crate::error::TraceError;
 use crate::geom::Ray;
@@ -159,6 +160,7 @@ impl AnyOperation for ClosestHits<'_, '_> {
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         for (index, (ray, hit)) in self.rays.iter().zip(self.hits).enumerate() {
             work.counters.rays += 1;
+            work.pins.begin_query(QueryKind::Closest);
             let after = self.after.get(index).copied();
             let prepared = (&mut query, &mut local);
             let result = match (certified, expanded) {
@@ -191,6 +193,7 @@ impl AnyOperation for Occlusions<'_, '_> {
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         for (index, (ray, out)) in self.rays.iter().zip(self.out).enumerate() {
             work.counters.rays += 1;
+            work.pins.begin_query(QueryKind::Occlusion);
             let prepared = (&mut query, &mut local);
             let result = match (certified, expanded) {
                 (true, true) => occlusion::<S, true, true>(simd, &mut work, prepared, ray, self.ignore),

@@ -1,11 +1,15 @@
-//! A cache as a list of blocks, least recently used first: what `SlotCache<Lru>` must do, step by step, when one
-//! thread uses it. Shared by the property tests and the fuzz target.
+//! A cache as a list of blocks, least recently used first: what `SlotCache` must do, step by step, when one thread uses
+//! it. With LRU the model also says which block makes room; with another policy it only asks that the one that does is
+//! resident and not pinned. Shared by the property tests and the fuzz target.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::{Arc, Mutex};
 
 use outcrop::MemoryBudget;
-use outcrop::cache::{CacheStats, GeometryCache, Lru, Pin, SlotCache};
+use outcrop::cache::{
+    CacheStats, Clock, GeometryCache, Lru, Pin, Policy, ReplacementPolicy, S3Fifo, SlotCache,
+};
 use outcrop::error::LoadError;
 use outcrop::units::{BlockId, Bytes};
 
@@ -39,6 +43,45 @@ impl Op {
     }
 }
 
+/// A policy that tells which block it evicted.
+struct Spy<P> {
+    policy: P,
+    blocks: Vec<u32>,
+    evicted: Arc<Mutex<Option<u32>>>,
+}
+
+impl<P: ReplacementPolicy> ReplacementPolicy for Spy<P> {
+    const BYTES_PER_SLOT: u64 = P::BYTES_PER_SLOT + 4;
+
+    fn start(&mut self, slot_count: u32) {
+        self.blocks = vec![u32::MAX; slot_count as usize];
+        self.policy.start(slot_count);
+    }
+
+    fn admit(&mut self, slot: u32, block: BlockId) {
+        self.blocks[slot as usize] = block.0;
+        self.policy.admit(slot, block);
+    }
+
+    fn hit(&mut self, slot: u32) {
+        self.policy.hit(slot);
+    }
+
+    fn victim(&mut self, evict: &mut dyn FnMut(u32) -> bool) {
+        self.policy.victim(&mut |slot| {
+            let taken = evict(slot);
+            if taken {
+                *self.evicted.lock().unwrap() = Some(self.blocks[slot as usize]);
+            }
+            taken
+        });
+    }
+
+    fn is_resident(&self, slot: u32) -> bool {
+        self.policy.is_resident(slot)
+    }
+}
+
 struct Model {
     slots: usize,
     /// Resident blocks and their pins, least recently used first.
@@ -60,15 +103,24 @@ impl Model {
         true
     }
 
-    /// Makes room for a missing block, if that is possible.
-    fn make_room(&mut self) -> bool {
-        if self.resident.len() == self.slots {
-            let Some(victim) = self.resident.iter().position(|entry| entry.1 == 0) else { return false };
-            self.resident.remove(victim);
-            self.stats.evictions += 1;
-        }
+    /// Whether a missing block can have a slot.
+    fn has_room(&self) -> bool {
+        self.resident.len() < self.slots || self.resident.iter().any(|entry| entry.1 == 0)
+    }
+
+    /// A missing block gets a slot, for which `evicted` made room.
+    fn make_room(&mut self, evicted: Option<u32>, policy: Policy) {
         self.stats.misses += 1;
-        true
+        assert_eq!(evicted.is_some(), self.resident.len() == self.slots, "evicts when all slots are taken");
+        let Some(evicted) = evicted else { return };
+        let idle = |entry: &(u32, u32)| entry.1 == 0;
+        let victim = self.resident.iter().position(|entry| entry.0 == evicted && idle(entry));
+        let victim = victim.unwrap_or_else(|| panic!("block {evicted} was evicted: not resident or pinned"));
+        if policy == Policy::Lru {
+            assert_eq!(self.resident.iter().position(idle), Some(victim), "another block was due");
+        }
+        self.resident.remove(victim);
+        self.stats.evictions += 1;
     }
 
     fn fill(&mut self, block: u32) {
@@ -84,14 +136,25 @@ fn contents(block: u32) -> [u8; SLOT_BYTES as usize] {
 /// What `fill` answers when told to fail: an error that says by its number that it is this one.
 const FILL_FAILED: LoadError = LoadError::NoSlot { slots: u32::MAX };
 
-/// Runs `ops` on a cache and on the model and compares them after every step.
+/// Runs `ops` on a cache with `policy` and on the model and compares them after every step.
 ///
 /// # Panics
 /// If they differ.
-pub fn run(slot_count: u32, block_count: u32, ops: &[Op]) {
+pub fn run(policy: Policy, slot_count: u32, block_count: u32, ops: &[Op]) {
+    match policy {
+        Policy::Lru => run_with(policy, Lru::new(), slot_count, block_count, ops),
+        Policy::Clock => run_with(policy, Clock::new(), slot_count, block_count, ops),
+        Policy::S3Fifo => run_with(policy, S3Fifo::new(), slot_count, block_count, ops),
+        other => panic!("no model for {other:?}"),
+    }
+}
+
+fn run_with<P: ReplacementPolicy>(kind: Policy, policy: P, slot_count: u32, block_count: u32, ops: &[Op]) {
     let budget = MemoryBudget::new(Bytes::mib(1));
-    let cache = SlotCache::new(slot_count, Bytes(SLOT_BYTES), block_count, Lru::new(), &budget)
-        .expect("fits in 1 MiB");
+    let evicted = Arc::new(Mutex::new(None));
+    let spy = Spy { policy, blocks: Vec::new(), evicted: Arc::clone(&evicted) };
+    let cache =
+        SlotCache::new(slot_count, Bytes(SLOT_BYTES), block_count, spy, &budget).expect("fits in 1 MiB");
     let mut model =
         Model { slots: slot_count as usize, resident: VecDeque::new(), stats: CacheStats::default() };
     let mut held: Vec<Pin<'_>> = Vec::new();
@@ -100,7 +163,7 @@ pub fn run(slot_count: u32, block_count: u32, ops: &[Op]) {
             Op::Pin(block) | Op::PinFails(block) | Op::PinPanics(block) => {
                 let block = u32::from(block) % block_count;
                 let expect_hit = model.hit(block);
-                let expect_fill = !expect_hit && model.make_room();
+                let expect_fill = !expect_hit && model.has_room();
                 let mut filled = false;
                 let mut fill = |slot: &mut [u8]| {
                     filled = true;
@@ -115,6 +178,12 @@ pub fn run(slot_count: u32, block_count: u32, ops: &[Op]) {
                 };
                 let pinned = catch_unwind(AssertUnwindSafe(|| cache.pin(BlockId(block), &mut fill)));
                 assert_eq!(filled, expect_fill, "{op:?}");
+                let evicted = evicted.lock().unwrap().take();
+                if expect_fill {
+                    model.make_room(evicted, kind);
+                } else {
+                    assert_eq!(evicted, None, "{op:?} evicts for nothing");
+                }
                 match (pinned, op) {
                     (Ok(Ok(pin)), _) => {
                         assert!(expect_hit || (expect_fill && matches!(op, Op::Pin(_))));
@@ -152,14 +221,10 @@ pub fn run(slot_count: u32, block_count: u32, ops: &[Op]) {
         }
     }
     drop(held);
-    // Evicting one by one shows the whole order, and that no pin has leaked.
-    for _ in 0..model.resident.len() {
-        let oldest = model.resident[0].0;
-        let missing = (0..block_count).find(|block| model.pins(*block).is_none());
-        let Some(missing) = missing.filter(|_| model.resident.len() == model.slots) else { break };
-        drop(cache.pin(BlockId(missing), &mut |_| Ok(())).expect("nothing is pinned"));
-        model.resident.pop_front();
-        model.resident.push_back((missing, 0));
-        assert!(cache.try_pin(BlockId(oldest)).is_none(), "block {oldest} was due");
+    // No pin has leaked: all slots can be had at once.
+    let all = 0..block_count.min(slot_count);
+    let pins: Vec<_> = all.map(|block| cache.pin(BlockId(block), &mut |_| Ok(()))).collect();
+    for pin in &pins {
+        assert!(pin.is_ok(), "{:?}", pin.as_ref().err());
     }
 }
