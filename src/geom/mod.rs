@@ -2,6 +2,7 @@
 //! that hold the only epsilons, exact predicates, and the global lattice.
 
 mod aabb;
+mod bounds;
 mod degenerate;
 mod double;
 mod expansion;
@@ -9,11 +10,13 @@ mod float;
 mod frame;
 mod lattice;
 mod offset;
+mod plain;
 mod ray;
 mod triangle;
 mod triangle_exact;
 
 pub use aabb::Aabb;
+pub use bounds::HitErrorBounds;
 pub use degenerate::is_degenerate;
 pub use float::{
     U32, U64, gamma, gamma_f32, relative_bounds_f32, relative_down_f32, relative_up_f32, round_down_f32,
@@ -22,5 +25,6 @@ pub use float::{
 pub use frame::RayFrame;
 pub use lattice::{Lattice, Precision};
 pub use offset::{hit_position, offset_origin, position_error, triangle_normal};
+pub use plain::intersect_plain;
 pub use ray::Ray;
 pub use triangle::{TriangleHit, intersect_certified};

@@ -59,11 +59,42 @@ pub(super) fn intersect(frame: &RayFrame, vertices: &[[f64; 3]; 3]) -> Option<Tr
         return None;
     }
     // With one sign among them the sum cannot be zero.
-    let normal = cross(&ab, &ac);
+    let [determinant, numerator] = plane(frame, &ab, &ac, &to_a);
+    frame.accept(numerator / determinant, v.value() / determinant, w.value() / determinant)
+}
+
+/// The determinant and the numerator of `t`.
+fn plane(frame: &RayFrame, ab: &Difference, ac: &Difference, to_a: &Difference) -> [f64; 2] {
+    let normal = cross(ab, ac);
     let [x, y, z] = [0, 1, 2].map(|axis| normal[axis].scaled::<32>(frame.direction[axis]));
     let determinant = x.plus::<32, 64>(&y).plus::<32, 96>(&z).value();
-    let numerator = dot::<16, 32, 64, 128, 192>(&normal, &to_a).value();
-    frame.accept(numerator / determinant, v.value() / determinant, w.value() / determinant)
+    [determinant, dot::<16, 32, 64, 128, 192>(&normal, to_a).value()]
+}
+
+/// What `t` and the weights are ratios of, each off by a factor within `1 +- 2^-52`.
+pub(super) struct Determinants {
+    pub v: f64,
+    pub w: f64,
+    /// Not zero.
+    pub determinant: f64,
+    pub numerator: f64,
+}
+
+/// The determinants of a line and a triangle, whether they meet or not; none outside of the domain and for a line parallel
+/// to the plane.
+#[cold]
+#[inline(never)]
+pub(super) fn determinants(frame: &RayFrame, vertices: &[[f64; 3]; 3]) -> Option<Determinants> {
+    if !vertices.iter().flatten().all(|x| x.abs() <= COORDINATE_MAX) {
+        return None;
+    }
+    let [a, b, c] = *vertices;
+    let (to_a, ab, ac) = (differences(a, frame.origin), differences(b, a), differences(c, a));
+    let moment = moment(frame.direction, &to_a);
+    let [determinant, numerator] = plane(frame, &ab, &ac, &to_a);
+    let v = edge_function(&ac, &moment).negated().value();
+    let w = edge_function(&ab, &moment).value();
+    (determinant != 0.0).then_some(Determinants { v, w, determinant, numerator })
 }
 
 /// Whether the exact normal is zero.

@@ -1,6 +1,6 @@
 //! What a query answers.
 
-use crate::geom;
+use crate::geom::{self, HitErrorBounds, Ray, RayFrame, TriangleHit};
 use crate::units::{MaterialId, TriangleId};
 
 /// Where a ray meets a triangle.
@@ -32,6 +32,13 @@ impl Hit {
     #[inline]
     pub fn position_error(&self) -> f64 {
         geom::position_error(&self.vertices, self.u, self.v)
+    }
+
+    /// Proven bounds on the errors of `t`, `u`, `v` and [`Hit::position`], for `ray`, the one that was traced. They hold for
+    /// hits of any [`Tier`](crate::octree::Tier), and are seldom more than a few times the real error.
+    pub fn error_bounds(&self, ray: &Ray) -> HitErrorBounds {
+        let numbers = TriangleHit { t: self.t, u: self.u, v: self.v };
+        RayFrame::new(ray).error_bounds(&self.vertices, &numbers)
     }
 
     /// The geometric normal `(b - a) x (c - a)`, not normalised: its length is twice the area, its direction says
