@@ -1,11 +1,13 @@
 //! The scalar certified test: nanoseconds per call where f64 decides (hit and miss), where a secondary ray leaves its surface, and
-//! where exact arithmetic decides. Each case first checks that its calls take the path that it names.
+//! where exact arithmetic decides; the same pairs in plain f64 and in exact arithmetic alone, and the error bounds of a hit. Each
+//! case first checks that its calls take the path that it names.
 
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use outcrop::geom::{
-    Ray, RayFrame, hit_position, intersect_certified, offset_origin, position_error, triangle_normal,
+    Ray, RayFrame, hit_position, intersect_certified, intersect_plain, offset_origin, position_error,
+    triangle_normal,
 };
 
 type Triangle = [[f64; 3]; 3];
@@ -140,6 +142,43 @@ fn intersect(criterion: &mut Criterion) {
             });
         });
     }
+    for (name, pairs) in &cases[..2] {
+        group.bench_function(format!("plain f64, {name}"), |bencher| {
+            bencher.iter(|| {
+                let hits = black_box(pairs)
+                    .iter()
+                    .filter(|(ray, triangle)| intersect_plain(ray, triangle).is_some());
+                black_box(hits.count())
+            });
+        });
+        let prepared: Vec<_> = pairs.iter().map(|(ray, triangle)| (RayFrame::new(ray), *triangle)).collect();
+        for (frame, triangle) in &prepared {
+            assert_eq!(frame.intersect_exactly(triangle), frame.intersect(triangle, &mut 0));
+        }
+        group.bench_function(format!("exact alone, {name}"), |bencher| {
+            bencher.iter(|| {
+                let hits = black_box(&prepared)
+                    .iter()
+                    .filter(|(frame, triangle)| frame.intersect_exactly(triangle).is_some());
+                black_box(hits.count())
+            });
+        });
+    }
+    let met: Vec<_> = cases[0]
+        .1
+        .iter()
+        .map(|(ray, triangle)| {
+            let frame = RayFrame::new(ray);
+            (frame, *triangle, frame.intersect(triangle, &mut 0).expect("these are hits"))
+        })
+        .collect();
+    group.bench_function("error bounds of a hit", |bencher| {
+        bencher.iter(|| {
+            for (frame, triangle, hit) in black_box(&met) {
+                black_box(frame.error_bounds(triangle, hit));
+            }
+        });
+    });
     let rays: Vec<_> = cases[0].1.iter().map(|(ray, _)| *ray).collect();
     group.bench_function("RayFrame::new", |bencher| {
         bencher.iter(|| {

@@ -112,7 +112,10 @@ fn queries(criterion: &mut Criterion) {
     let kinds = [
         (Tier::Certified, LeafLayout::Expanded),
         (Tier::Certified, LeafLayout::Indexed),
+        (Tier::Exact, LeafLayout::Expanded),
         (Tier::Fast, LeafLayout::Expanded),
+        (Tier::Watertight, LeafLayout::Expanded),
+        (Tier::Double, LeafLayout::Expanded),
     ];
     let octrees = kinds.map(|(tier, leaf_layout)| {
         open(&source, OctreeOptions { tier, leaf_layout, ..OctreeOptions::default() })
@@ -130,8 +133,11 @@ fn queries(criterion: &mut Criterion) {
         [closest_counts[0], closest_counts[1], blocked]
     });
     assert_eq!(counts[0], counts[1], "certified answers do not depend on the layout");
-    for (certified, fast) in counts[0].iter().zip(&counts[2]) {
-        assert!(certified.abs_diff(*fast) < 1 + camera.len() / 100, "{certified} and {fast} hits");
+    assert_eq!(counts[0], counts[2], "exact answers are the certified ones");
+    for others in &counts[3..] {
+        for (certified, other) in counts[0].iter().zip(others) {
+            assert!(certified.abs_diff(*other) < 1 + camera.len() / 100, "{certified} and {other} hits");
+        }
     }
 
     for ((tier, layout), octree) in kinds.iter().zip(&octrees) {

@@ -43,7 +43,7 @@ resources
     --policy KIND           which block makes room: lru, clock or s3-fifo (lru)
     --leaves KIND           expanded or indexed; by the budget if not given
     --simd KIND             avx2 or portable; the best here if not given
-    --fast                  hits in f32 without a guarantee
+    --tier KIND             how sure hits are: fast, watertight, double, certified or exact (certified)
 compiled file
     --compile-only          stop after compiling; -o then names the compiled file
     --compiled FILE         keep the compiled file there instead of beside the model
@@ -161,7 +161,7 @@ impl Options {
                     let kinds = [("avx2", SimdLevel::Avx2), ("portable", SimdLevel::Portable)];
                     options.simd = Some(arguments.choice(&kinds)?);
                 }
-                "--fast" => options.tier = Tier::Fast,
+                "--tier" => options.tier = arguments.choice(&Tier::ALL.map(|tier| (tier.name(), tier)))?,
                 "--compile-only" => options.compile_only = true,
                 "--compiled" => options.compiled = Some(arguments.path()?),
                 "--recompile" => options.recompile = true,

@@ -10,9 +10,35 @@ pub enum Tier {
     /// Decided in f32 right in the kernel: no guarantee near edges, at grazing angles or far from the origin, and
     /// results may differ between instruction sets.
     Fast,
+    /// Decided in f32 by the test of Woop, Benthin and Wald (2013): no ray passes between two triangles of one block that
+    /// share an edge. Between blocks that holds if their vertices and the ray's origin are exact in f32 (models of
+    /// `Precision::Float32`). `t`, and so the order of surfaces, and needles are as good as f32 lets them be.
+    Watertight,
+    /// f32 only rejects, with a proven bound; what is left is decided by Moeller and Trumbore's test in f64 without one
+    /// ([`intersect_plain`](crate::geom::intersect_plain)): rays may leak at edges, rarely.
+    Double,
     /// f32 only rejects, with a proven bound; what is left is decided in f64 and, where that is not enough, exactly (I2, I3).
     #[default]
     Certified,
+    /// Every triangle of every leaf that a ray enters is decided exactly: the hits of `Certified`, bit for bit, without
+    /// its f32 rejection and its f64 decisions. Slow; what `Certified` is checked against.
+    Exact,
+}
+
+impl Tier {
+    /// All tiers, from the fastest to the slowest.
+    pub const ALL: [Tier; 5] = [Tier::Fast, Tier::Watertight, Tier::Double, Tier::Certified, Tier::Exact];
+
+    /// Its name on command lines and in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Tier::Fast => "fast",
+            Tier::Watertight => "watertight",
+            Tier::Double => "double",
+            Tier::Certified => "certified",
+            Tier::Exact => "exact",
+        }
+    }
 }
 
 /// How the leaves of a block's fine tree hold triangles in the slot.

@@ -12,8 +12,10 @@ mod level;
 #[cfg(test)]
 mod tests;
 mod triangles;
+mod watertight;
 
 pub use boxes::{BoxRay, Boxes, PackedBoxes, Parallel, ParallelAxes};
 pub use lanes::{LANES, Portable, Simd};
 pub use level::{AnyOperation, Operation, SimdLevel, dispatch};
 pub use triangles::{ErrorBounds, Interval, Packet, TriangleRay};
+pub use watertight::Shear;

@@ -67,6 +67,12 @@ impl<S: Simd> Packet<S> {
         }
         Packet { a: load3(simd, &lanes[0]), b: load3(simd, &lanes[1]), c: load3(simd, &lanes[2]) }
     }
+
+    /// Its vertices, axis by axis.
+    #[inline(always)]
+    pub(super) fn vertices(&self) -> [[S::F; 3]; 3] {
+        [self.a, self.b, self.c]
+    }
 }
 
 /// # Safety

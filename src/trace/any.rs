@@ -2,6 +2,7 @@
 
 use super::closest::{Work, lanes_in_use};
 use super::exact::{ExactRay, RayError};
+use super::policy::{Candidate, Policy};
 use super::stack::Stack;
 use super::{MaterialSet, Occlusion};
 use crate::geom::Ray;
@@ -11,8 +12,10 @@ use crate::stats::TraceCounters;
 use crate::units::BlockId;
 
 /// One any-hit query on its way.
-struct Any<'a, S: Simd> {
+struct Any<'a, S: Simd, P: Policy> {
     local: &'a mut LocalRay<S>,
+    /// What the policy needs of the ray.
+    prepared: P::Ray<S>,
     /// Holds the ray's interval.
     outer: Interval<S::F>,
     /// Lies inside the ray's interval.
@@ -26,7 +29,7 @@ struct Any<'a, S: Simd> {
 
 /// Whether the ray is blocked.
 #[inline(always)]
-pub(super) fn occlusion<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
+pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
     (query, local): (&mut QueryRay, &mut LocalRay<S>),
@@ -39,7 +42,8 @@ pub(super) fn occlusion<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
     }
     let high = query.local_high(ray.t_max);
     let (inner_low, inner_high) = query.local_inner(ray.t_min, ray.t_max);
-    let mut any = Any {
+    let mut any: Any<'_, S, P> = Any {
+        prepared: P::prepare(simd, &local.triangles),
         local,
         outer: splat_interval(simd, query.local_low(ray.t_min), high),
         inner: splat_interval(simd, inner_low, inner_high),
@@ -60,7 +64,7 @@ pub(super) fn occlusion<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
             if hits != 0 {
                 work.counters.block_visits += 1;
                 let slot = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?;
-                let visit = VisitBlock::<S, CERTIFIED, EXPANDED> {
+                let visit = VisitBlock::<S, P, EXPANDED> {
                     any: &mut any,
                     slot,
                     hits,
@@ -92,8 +96,8 @@ pub(super) fn occlusion<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
 
 /// The traversal of one block; gives whether a triangle of it blocks the ray. A function of its own, so that the registers
 /// are its own.
-struct VisitBlock<'v, 'r, S: Simd, const CERTIFIED: bool, const EXPANDED: bool> {
-    any: &'v mut Any<'r, S>,
+struct VisitBlock<'v, 'r, S: Simd, P: Policy, const EXPANDED: bool> {
+    any: &'v mut Any<'r, S, P>,
     slot: &'v [u8],
     /// Which of the block's sub-boxes the ray meets.
     hits: u32,
@@ -103,9 +107,7 @@ struct VisitBlock<'v, 'r, S: Simd, const CERTIFIED: bool, const EXPANDED: bool> 
     counters: &'v mut TraceCounters,
 }
 
-impl<S: Simd, const CERTIFIED: bool, const EXPANDED: bool> Operation<S>
-    for VisitBlock<'_, '_, S, CERTIFIED, EXPANDED>
-{
+impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '_, S, P, EXPANDED> {
     type Output = bool;
 
     #[inline(always)]
@@ -125,7 +127,7 @@ impl<S: Simd, const CERTIFIED: bool, const EXPANDED: bool> Operation<S>
                 if child == Child::NONE {
                     return false;
                 }
-                if any.visit_leaf::<CERTIFIED, EXPANDED>(simd, &fine, child, exact, counters) {
+                if any.visit_leaf::<EXPANDED>(simd, &fine, child, exact, counters) {
                     return true;
                 }
                 child = stack.pop(f32::INFINITY);
@@ -141,9 +143,9 @@ impl<S: Simd, const CERTIFIED: bool, const EXPANDED: bool> Operation<S>
     }
 }
 
-impl<S: Simd> Any<'_, S> {
+impl<S: Simd, P: Policy> Any<'_, S, P> {
     #[inline(always)]
-    fn visit_leaf<const CERTIFIED: bool, const EXPANDED: bool>(
+    fn visit_leaf<const EXPANDED: bool>(
         &mut self,
         simd: S,
         fine: &Fine<'_>,
@@ -159,13 +161,16 @@ impl<S: Simd> Any<'_, S> {
             let packet = fine.packet::<S, EXPANDED>(simd, leaf, first);
             let lanes = lanes_in_use(count - first);
             // Lanes that may be hit, and those of them that need no decision.
-            let (possible, certain) = if CERTIFIED {
-                let triangles = &self.local.triangles;
-                triangles.survivors_and_certain(simd, &packet, edge, &self.outer, &self.inner)
-            } else {
-                let (hits, _) = self.local.triangles.decide(simd, &packet, &self.outer);
-                (hits, hits)
-            };
+            let triangles = &self.local.triangles;
+            let (possible, certain, seen) = P::candidates_and_certain(
+                simd,
+                &self.prepared,
+                triangles,
+                &packet,
+                edge,
+                &self.outer,
+                &self.inner,
+            );
             let (mut possible, certain) = (possible & lanes, certain & lanes);
             if certain != 0 && self.ignore.is_none() {
                 return true;
@@ -174,7 +179,8 @@ impl<S: Simd> Any<'_, S> {
                 let i = possible.trailing_zeros();
                 possible &= possible - 1;
                 let at = TriangleLocation { leaf, lane: first + i as usize };
-                if self.blocks(fine, at, certain >> i & 1 == 1, exact, counters) {
+                let is_certain = certain >> i & 1 == 1;
+                if self.blocks(simd, fine, at, (i as usize, &seen, is_certain), exact, counters) {
                     return true;
                 }
             }
@@ -187,9 +193,10 @@ impl<S: Simd> Any<'_, S> {
     #[inline(always)]
     fn blocks(
         &mut self,
+        simd: S,
         fine: &Fine<'_>,
         at: TriangleLocation,
-        certain: bool,
+        (lane, seen, is_certain): (usize, &P::Seen<S>, bool),
         exact: &mut ExactRay,
         counters: &mut TraceCounters,
     ) -> bool {
@@ -197,11 +204,16 @@ impl<S: Simd> Any<'_, S> {
         if ignored && self.filtered {
             return false;
         }
-        let hit = certain || {
-            counters.decisions += 1;
-            let vertices = fine.exact_vertices(at);
-            let (ray, fallbacks) = (self.ray, &mut counters.exact_fallbacks);
-            exact.decide(ray, ray.t_min, ray.t_max, &vertices, fallbacks).is_some()
+        let hit = is_certain || {
+            let candidate = Candidate {
+                lane,
+                vertices: &fine.exact_vertices(at),
+                ray: self.ray,
+                query: self.query,
+                t_min: self.ray.t_min,
+                t_max: self.ray.t_max,
+            };
+            P::settle(simd, seen, &candidate, exact, counters).is_some()
         };
         self.filtered |= hit && ignored;
         hit && !ignored

@@ -3,6 +3,7 @@
 use super::Hit;
 use super::exact::{ExactRay, RayError};
 use super::load::{LoadScratch, Pins};
+use super::policy::{Candidate, Policy};
 use super::stack::{Entries, Stack};
 use crate::geom::{Ray, TriangleHit};
 use crate::octree::{Child, Fine, LazyOctree, LocalRay, QueryRay, TriangleLocation, prepare, splat_interval};
@@ -21,8 +22,10 @@ pub(super) struct Work<'t, 'o> {
 }
 
 /// One closest-hit query on its way.
-struct Closest<'r, S: Simd> {
+struct Closest<'r, S: Simd, P: Policy> {
     local: &'r mut LocalRay<S>,
+    /// What the policy needs of the ray.
+    prepared: P::Ray<S>,
     interval: Interval<S::F>,
     /// `interval.high` as a number.
     high: f32,
@@ -39,7 +42,7 @@ struct Closest<'r, S: Simd> {
 
 /// Puts the least hit by (t, id) among those strictly greater than `after` into `best` (I3).
 #[inline(always)]
-pub(super) fn closest_hit<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
+pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
     (query, local): (&mut QueryRay, &mut LocalRay<S>),
@@ -61,7 +64,8 @@ pub(super) fn closest_hit<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
         return Ok(());
     }
     let high = query.local_high(ray.t_max);
-    let mut closest = Closest {
+    let mut closest: Closest<'_, S, P> = Closest {
+        prepared: P::prepare(simd, &local.triangles),
         local,
         interval: splat_interval(simd, query.local_low(t_min), high),
         high,
@@ -85,7 +89,7 @@ pub(super) fn closest_hit<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
             if hits != 0 {
                 work.counters.block_visits += 1;
                 let slot = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?;
-                let visit = VisitBlock::<S, CERTIFIED, EXPANDED> {
+                let visit = VisitBlock::<S, P, EXPANDED> {
                     closest: &mut closest,
                     slot,
                     near,
@@ -113,8 +117,8 @@ pub(super) fn closest_hit<S: Simd, const CERTIFIED: bool, const EXPANDED: bool>(
 }
 
 /// The traversal of one block. A function of its own, so that the registers are its own.
-struct VisitBlock<'v, 'r, S: Simd, const CERTIFIED: bool, const EXPANDED: bool> {
-    closest: &'v mut Closest<'r, S>,
+struct VisitBlock<'v, 'r, S: Simd, P: Policy, const EXPANDED: bool> {
+    closest: &'v mut Closest<'r, S, P>,
     slot: &'v [u8],
     /// Where the ray enters the block's sub-boxes, and which.
     near: S::F,
@@ -125,9 +129,7 @@ struct VisitBlock<'v, 'r, S: Simd, const CERTIFIED: bool, const EXPANDED: bool> 
     counters: &'v mut TraceCounters,
 }
 
-impl<S: Simd, const CERTIFIED: bool, const EXPANDED: bool> Operation<S>
-    for VisitBlock<'_, '_, S, CERTIFIED, EXPANDED>
-{
+impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '_, S, P, EXPANDED> {
     type Output = ();
 
     #[inline(always)]
@@ -149,7 +151,7 @@ impl<S: Simd, const CERTIFIED: bool, const EXPANDED: bool> Operation<S>
                     counters.box_tests += box_tests;
                     return;
                 }
-                closest.visit_leaf::<CERTIFIED, EXPANDED>(simd, &fine, child, exact, counters);
+                closest.visit_leaf::<EXPANDED>(simd, &fine, child, exact, counters);
                 child = stack.pop(closest.high);
             }
             let node = fine.node(child);
@@ -164,9 +166,9 @@ impl<S: Simd, const CERTIFIED: bool, const EXPANDED: bool> Operation<S>
     }
 }
 
-impl<S: Simd> Closest<'_, S> {
+impl<S: Simd, P: Policy> Closest<'_, S, P> {
     #[inline(always)]
-    fn visit_leaf<const CERTIFIED: bool, const EXPANDED: bool>(
+    fn visit_leaf<const EXPANDED: bool>(
         &mut self,
         simd: S,
         fine: &Fine<'_>,
@@ -181,37 +183,25 @@ impl<S: Simd> Closest<'_, S> {
         while first < count {
             let packet = fine.packet::<S, EXPANDED>(simd, leaf, first);
             let lanes = lanes_in_use(count - first);
-            if CERTIFIED {
-                let mut survivors =
-                    self.local.triangles.survivors(simd, &packet, edge, &self.interval) & lanes;
-                while survivors != 0 {
-                    let lane = first + survivors.trailing_zeros() as usize;
-                    survivors &= survivors - 1;
-                    let at = TriangleLocation { leaf, lane };
-                    let vertices = fine.exact_vertices(at);
-                    counters.decisions += 1;
-                    let (t_min, t_max) = (self.t_min, self.t_max);
-                    let fallbacks = &mut counters.exact_fallbacks;
-                    if let Some(hit) = exact.decide(self.ray, t_min, t_max, &vertices, fallbacks) {
-                        self.offer(simd, fine, at, hit, vertices);
-                    }
-                }
-            } else {
-                let (hits, [t, u, v]) = self.local.triangles.decide(simd, &packet, &self.interval);
-                let mut hits = hits & lanes;
-                if hits != 0 {
-                    let (t, u, v) = (simd.to_array(t), simd.to_array(u), simd.to_array(v));
-                    while hits != 0 {
-                        let i = hits.trailing_zeros() as usize;
-                        hits &= hits - 1;
-                        let at = TriangleLocation { leaf, lane: first + i };
-                        let hit = TriangleHit {
-                            t: self.query.ray_parameter(t[i]),
-                            u: f64::from(u[i]),
-                            v: f64::from(v[i]),
-                        };
-                        self.offer(simd, fine, at, hit, fine.exact_vertices(at));
-                    }
+            let triangles = &self.local.triangles;
+            let (candidates, seen) =
+                P::candidates(simd, &self.prepared, triangles, &packet, edge, &self.interval);
+            let mut candidates = candidates & lanes;
+            while candidates != 0 {
+                let lane = candidates.trailing_zeros() as usize;
+                candidates &= candidates - 1;
+                let at = TriangleLocation { leaf, lane: first + lane };
+                let vertices = fine.exact_vertices(at);
+                let candidate = Candidate {
+                    lane,
+                    vertices: &vertices,
+                    ray: self.ray,
+                    query: self.query,
+                    t_min: self.t_min,
+                    t_max: self.t_max,
+                };
+                if let Some(hit) = P::settle(simd, &seen, &candidate, exact, counters) {
+                    self.offer(simd, fine, at, hit, vertices);
                 }
             }
             first += LANES;

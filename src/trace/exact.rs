@@ -31,12 +31,18 @@ impl ExactRay {
         vertices: &[[f64; 3]; 3],
         exact_fallbacks: &mut u64,
     ) -> Option<TriangleHit> {
+        self.frame(ray, t_min, t_max).intersect(vertices, exact_fallbacks)
+    }
+
+    /// The ray prepared, for hits from `t_min` to `t_max`.
+    #[inline(always)]
+    pub fn frame(&mut self, ray: &Ray, t_min: f64, t_max: f64) -> &RayFrame {
         if !self.ready {
             (self.frame, self.ready) = (RayFrame::new(ray), true);
             self.frame.t_min = t_min;
         }
         self.frame.t_max = t_max;
-        self.frame.intersect(vertices, exact_fallbacks)
+        &self.frame
     }
 }
 

@@ -8,6 +8,7 @@ mod closest;
 mod exact;
 mod hit;
 mod load;
+mod policy;
 mod stack;
 mod tracer;
 

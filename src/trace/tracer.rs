@@ -1,9 +1,12 @@
 //! [`Tracer`]: one thread's way into an octree.
 
+use std::marker::PhantomData;
+
 use super::any::occlusion;
 use super::closest::{Work, closest_hit};
 use super::exact::ExactRay;
 use super::load::{LoadScratch, Pins};
+use super::policy::{Certified, Double, Exact, Fast, Policy, Watertight};
 use super::stack::{Entries, UNUSED};
 use super::{Hit, MaterialSet, Occlusion};
 use crate::access::QueryKind;
@@ -11,7 +14,7 @@ use crate::budget::Reservation;
 use crate::error::TraceError;
 use crate::geom::Ray;
 use crate::octree::{LazyOctree, LocalRay, QueryRay, Tier, TracerPermit, tracer_bytes};
-use crate::simd::{AnyOperation, Simd, dispatch};
+use crate::simd::{AnyOperation, Operation, Simd, dispatch};
 use crate::stats::TraceCounters;
 use crate::units::TriangleId;
 
@@ -154,22 +157,21 @@ impl AnyOperation for ClosestHits<'_, '_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Self::Output {
-        let certified = self.tracer.octree.tier == Tier::Certified;
-        let expanded = self.tracer.octree.layout.expanded;
+        enter(simd, self.tracer.octree, self)
+    }
+}
+
+impl Query for ClosestHits<'_, '_> {
+    #[inline(always)]
+    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         for (index, (ray, hit)) in self.rays.iter().zip(self.hits).enumerate() {
             work.counters.rays += 1;
             work.pins.begin_query(QueryKind::Closest);
             let after = self.after.get(index).copied();
-            let prepared = (&mut query, &mut local);
-            let result = match (certified, expanded) {
-                (true, true) => closest_hit::<S, true, true>(simd, &mut work, prepared, ray, after, hit),
-                (true, false) => closest_hit::<S, true, false>(simd, &mut work, prepared, ray, after, hit),
-                (false, true) => closest_hit::<S, false, true>(simd, &mut work, prepared, ray, after, hit),
-                (false, false) => closest_hit::<S, false, false>(simd, &mut work, prepared, ray, after, hit),
-            };
-            result.map_err(|error| error.at(index))?;
+            closest_hit::<S, P, EXPANDED>(simd, &mut work, (&mut query, &mut local), ray, after, hit)
+                .map_err(|error| error.at(index))?;
         }
         Ok(())
     }
@@ -187,22 +189,64 @@ impl AnyOperation for Occlusions<'_, '_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Self::Output {
-        let certified = self.tracer.octree.tier == Tier::Certified;
-        let expanded = self.tracer.octree.layout.expanded;
+        enter(simd, self.tracer.octree, self)
+    }
+}
+
+impl Query for Occlusions<'_, '_> {
+    #[inline(always)]
+    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         for (index, (ray, out)) in self.rays.iter().zip(self.out).enumerate() {
             work.counters.rays += 1;
             work.pins.begin_query(QueryKind::Occlusion);
             let prepared = (&mut query, &mut local);
-            let result = match (certified, expanded) {
-                (true, true) => occlusion::<S, true, true>(simd, &mut work, prepared, ray, self.ignore),
-                (true, false) => occlusion::<S, true, false>(simd, &mut work, prepared, ray, self.ignore),
-                (false, true) => occlusion::<S, false, true>(simd, &mut work, prepared, ray, self.ignore),
-                (false, false) => occlusion::<S, false, false>(simd, &mut work, prepared, ray, self.ignore),
-            };
-            *out = result.map_err(|error| error.at(index))?;
+            *out = occlusion::<S, P, EXPANDED>(simd, &mut work, prepared, ray, self.ignore)
+                .map_err(|error| error.at(index))?;
         }
         Ok(())
+    }
+}
+
+/// A query over a slice of rays, generic over what an octree was opened with.
+trait Query: Sized {
+    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError>;
+}
+
+/// [`Query::each`] as an operation, so that each combination is a function of its own.
+struct Each<Q, P, const EXPANDED: bool>(Q, PhantomData<P>);
+
+impl<S: Simd, Q: Query, P: Policy, const EXPANDED: bool> Operation<S> for Each<Q, P, EXPANDED> {
+    type Output = Result<(), TraceError>;
+
+    #[inline(always)]
+    fn run(self, simd: S) -> Self::Output {
+        self.0.each::<S, P, EXPANDED>(simd)
+    }
+}
+
+/// Runs `query` with the policy and the layout of `octree`: decided once per call.
+#[inline(always)]
+fn enter<S: Simd, Q: Query>(simd: S, octree: &LazyOctree, query: Q) -> Result<(), TraceError> {
+    match octree.tier {
+        Tier::Fast => with_policy::<S, Q, Fast>(simd, octree, query),
+        Tier::Watertight => with_policy::<S, Q, Watertight>(simd, octree, query),
+        Tier::Double => with_policy::<S, Q, Double>(simd, octree, query),
+        Tier::Certified => with_policy::<S, Q, Certified>(simd, octree, query),
+        Tier::Exact => with_policy::<S, Q, Exact>(simd, octree, query),
+    }
+}
+
+#[inline(always)]
+fn with_policy<S: Simd, Q: Query, P: Policy>(
+    simd: S,
+    octree: &LazyOctree,
+    query: Q,
+) -> Result<(), TraceError> {
+    if octree.layout.expanded {
+        simd.enter(Each::<Q, P, true>(query, PhantomData))
+    } else {
+        simd.enter(Each::<Q, P, false>(query, PhantomData))
     }
 }
