@@ -1,6 +1,9 @@
 //! The definition of a hit, written down once more in exact integers.
 
+#![allow(dead_code)]
+
 use dashu::integer::IBig;
+use dashu::rational::RBig;
 use outcrop::geom::{Ray, TriangleHit};
 
 /// `integer * 2^exponent`, exactly.
@@ -54,6 +57,13 @@ fn close(a: &IBig, ea: i64, b: &IBig, eb: i64, tolerance_bits: usize) -> bool {
     abs(a - &b) << tolerance_bits <= abs(b)
 }
 
+/// `integer * 2^exponent`.
+fn scaled(integer: &IBig, exponent: i64) -> RBig {
+    let power = RBig::from(IBig::ONE << exponent.unsigned_abs() as usize);
+    let integer = RBig::from(integer.clone());
+    if exponent < 0 { integer / power } else { integer * power }
+}
+
 /// The ray's line and a triangle.
 pub struct Exact {
     /// Edge functions opposite to the vertices; their sum is `determinant`.
@@ -89,6 +99,16 @@ impl Exact {
     /// Sign of `t`.
     pub fn t_sign(&self) -> i32 {
         sign(&self.numerator) * sign(&self.determinant)
+    }
+
+    /// `t` of the plane. The line is not parallel to it.
+    pub fn t(&self) -> RBig {
+        scaled(&self.numerator, self.exponent) / RBig::from(self.determinant.clone())
+    }
+
+    /// Weights of the second and of the third vertex. The line is not parallel to the plane.
+    pub fn weights(&self) -> [RBig; 2] {
+        [1, 2].map(|edge| RBig::from(self.edges[edge].clone()) / RBig::from(self.determinant.clone()))
     }
 
     /// Whether `t` is off by a factor within `1 +- 2^-bits`.

@@ -26,6 +26,8 @@ pub struct Mesh {
     pub vertices: Vertices,
     pub triangles: Vec<[u32; 3]>,
     pub materials: Vec<u16>,
+    /// What the materials are; default ones beyond the end.
+    pub records: Vec<MaterialRecord>,
     /// Whether `vertices_complete` is called before the faces.
     pub complete_first: bool,
     /// Triangles per call of the sink.
@@ -35,7 +37,7 @@ pub struct Mesh {
 impl Mesh {
     pub fn new(vertices: Vertices, triangles: Vec<[u32; 3]>) -> Mesh {
         let materials = vec![0; triangles.len()];
-        Mesh { vertices, triangles, materials, complete_first: true, batch: 1000 }
+        Mesh { vertices, triangles, materials, records: Vec::new(), complete_first: true, batch: 1000 }
     }
 
     pub fn vertex(&self, index: u32) -> [f64; 3] {
@@ -50,8 +52,8 @@ impl Mesh {
     }
 
     pub fn emit(&self, sink: &mut dyn MeshSink) -> Result<(), CompileError> {
-        for _ in 0..=self.materials.iter().max().copied().unwrap_or(0) {
-            sink.material(MaterialRecord::default())?;
+        for material in 0..=self.materials.iter().max().copied().unwrap_or(0) {
+            sink.material(self.records.get(usize::from(material)).cloned().unwrap_or_default())?;
         }
         match &self.vertices {
             Vertices::Float32(vertices) => {

@@ -22,6 +22,17 @@ pub fn compile(
     block_triangles: usize,
     key: impl Fn(usize) -> u64,
 ) -> Arc<MemorySource> {
+    compile_numbered(triangles, precision, block_triangles, key, |i| i as u64)
+}
+
+/// [`compile`] with ids of the test's choosing, all different.
+pub fn compile_numbered(
+    triangles: &[[[f64; 3]; 3]],
+    precision: Precision,
+    block_triangles: usize,
+    key: impl Fn(usize) -> u64,
+    id: impl Fn(usize) -> u64,
+) -> Arc<MemorySource> {
     let limits = BlockLimits { block_bytes_max: 64 << 10 };
     let mut order: Vec<usize> = (0..triangles.len()).collect();
     order.sort_by_key(|i| (key(*i), *i));
@@ -30,7 +41,7 @@ pub fn compile(
     let mut file = vec![0; writer.next_offset() as usize];
     for chunk in order.chunks(block_triangles.min(1300)) {
         let mut members = chunk.to_vec();
-        members.sort_unstable();
+        members.sort_unstable_by_key(|i| id(*i));
         let mut vertices: Vec<[f64; 3]> = Vec::new();
         let indices: Vec<[u16; 3]> = members
             .iter()
@@ -44,7 +55,7 @@ pub fn compile(
                 })
             })
             .collect();
-        let ids: Vec<u64> = members.iter().map(|i| *i as u64).collect();
+        let ids: Vec<u64> = members.iter().map(|i| id(*i)).collect();
         let materials: Vec<u16> = members.iter().map(|i| *i as u16 % MATERIALS).collect();
         let (floats, lattice): (Vec<[f32; 3]>, Vec<[i64; 3]>);
         let input_vertices = match precision {
