@@ -130,7 +130,8 @@ fn rays(
     [at_targets(false), at_targets(true)]
 }
 
-fn compile(
+/// Compiles a mesh that is in memory.
+pub fn compile(
     path: &Path,
     precision: PrecisionChoice,
     vertices: VertexBatch<'_>,

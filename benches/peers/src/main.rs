@@ -3,22 +3,36 @@
 //!     cargo run --release -- rates MODEL.ply [--rays 1024] [--repetitions 7] [--without obvhs]
 //!     cargo run --release -- whole MODEL.ply [--repetitions 3]
 //!     cargo run --release -- leaks [--rays 100000]
+//!     cargo run --release -- hard-cases
+//!     cargo run --release -- accuracy MODEL.ply [--repetitions 7]
 
 // Without Embree nothing is traced; the rest still has to compile.
 #![cfg_attr(not(embree), allow(unused))]
 
+#[cfg(embree)]
+mod accuracy;
+#[path = "../../../tests/hard_cases/cases.rs"]
+#[allow(dead_code)]
+mod cases;
 mod clock;
 #[cfg(embree)]
 mod embree;
 mod engine;
 #[cfg(embree)]
+mod hard_cases;
+#[cfg(embree)]
 mod leaks;
 mod mesh;
 mod obvhs_engine;
+#[path = "../../../tests/geom/oracle.rs"]
+mod oracle;
 mod outcrop_engine;
+mod parry_engine;
 mod picture;
 mod rates;
 mod rays;
+#[path = "../../../tests/hard_cases/truth.rs"]
+mod truth;
 #[cfg(embree)]
 mod whole;
 
@@ -35,7 +49,9 @@ use outcrop::units::Bytes;
 const USAGE: &str = "\
 usage: outcrop-peers rates MODEL.ply [--rays EDGE] [--repetitions N] [--without NAME]
        outcrop-peers whole MODEL.ply [--repetitions N]
-       outcrop-peers leaks [--rays N]";
+       outcrop-peers leaks [--rays N]
+       outcrop-peers hard-cases
+       outcrop-peers accuracy MODEL.ply [--repetitions N]";
 
 #[cfg(not(embree))]
 const NO_EMBREE: &str = "Embree 3 was not found when this program was built, and without it there is nothing to \
@@ -104,6 +120,8 @@ fn run(arguments: &Arguments) -> Result<(), String> {
         ("rates", [model]) => compare_rates(arguments, model),
         ("whole", [model]) => whole::run(model, arguments.repetitions.unwrap_or(3).max(1)),
         ("leaks", []) => leaks::run(arguments.rays.unwrap_or(100_000)),
+        ("hard-cases", []) => hard_cases::run(),
+        ("accuracy", [model]) => accuracy::run(model, arguments.repetitions.unwrap_or(7).max(1)),
         _ => Err(USAGE.to_string()),
     }
 }
