@@ -32,7 +32,9 @@ impl MeshSink for Counter {
             VertexBatch::Float32(positions) => {
                 self.vertices.extend(positions.iter().map(|position| position.map(f64::from)));
             }
-            VertexBatch::Float64(positions) => self.vertices.extend_from_slice(positions),
+            VertexBatch::Float64(positions) | VertexBatch::Float32Text(positions) => {
+                self.vertices.extend_from_slice(positions);
+            }
         }
         Ok(())
     }

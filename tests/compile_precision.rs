@@ -4,9 +4,14 @@
 mod compiling;
 
 use compiling::{Mesh, Place, Vertices, assert_same, compile, compile_with, read_back};
-use outcrop::compile::{AUTO_TOLERANCE, CompileOptions, CompileReport, Control, PrecisionChoice};
+use outcrop::MemoryBudget;
+use outcrop::compile::{
+    AUTO_TOLERANCE, CompileOptions, CompileReport, Control, PrecisionChoice, Threads, compile_file,
+};
 use outcrop::error::CompileError;
 use outcrop::geom::{Lattice, Precision};
+use outcrop::procedural::Gears;
+use outcrop::procedural::export::{write_obj, write_ply};
 use outcrop::units::Bytes;
 
 const ROOMY: Bytes = Bytes::mib(256);
@@ -87,6 +92,102 @@ fn text_of_f32_becomes_f32_again() {
             assert_eq!(report.precision, Precision::Float32);
             assert!(report.error_bound > 0.0 && report.error_bound < 1e-8, "{}", report.error_bound);
             assert_same(&exact, &bytes);
+        }
+    }
+}
+
+/// Compiles a file in a budget, and checks that all of the budget is given back.
+fn compile_path(
+    input: &std::path::Path,
+    options: &CompileOptions,
+    budget: Bytes,
+) -> (CompileReport, Vec<u8>) {
+    let place = Place::new();
+    let budget = MemoryBudget::new(budget);
+    let report = compile_file(input, &place.output(), options, &budget, &mut |_| Control::Continue).unwrap();
+    assert_eq!(budget.used(), Bytes(0));
+    assert_eq!(place.files(), ["model.outcrop"]);
+    (report, std::fs::read(place.output()).unwrap())
+}
+
+/// Corners bit for bit, and material, by triangle.
+fn contents(bytes: &[u8]) -> Vec<([[u64; 3]; 3], u16)> {
+    let (_, stored) = read_back(bytes);
+    let all = stored.into_iter().map(|stored| stored.expect("every triangle is there"));
+    all.map(|stored| (stored.corners.map(|corner| corner.map(f64::to_bits)), stored.material)).collect()
+}
+
+#[test]
+fn obj_and_ply_of_one_model_compile_to_the_same_positions() {
+    let place = Place::new();
+    let (ply, obj) = (place.path().join("gears.ply"), place.path().join("gears.obj"));
+    let gears = Gears::new(1).unwrap();
+    write_ply(&gears, &ply, true).unwrap();
+    write_obj(&gears, &obj).unwrap();
+    let options = CompileOptions::default();
+    let (from_ply, ply_bytes) = compile_path(&ply, &options, ROOMY);
+    let (from_obj, obj_bytes) = compile_path(&obj, &options, ROOMY);
+    assert_eq!((from_ply.precision, from_ply.error_bound), (Precision::Float32, 0.0));
+    assert_eq!(from_obj.precision, Precision::Float32);
+    // Shortest decimals are off by less than half a unit of f32 at 2.5.
+    assert!(from_obj.error_bound > 0.0 && from_obj.error_bound < 1.2e-7, "{}", from_obj.error_bound);
+    assert!(contents(&ply_bytes) == contents(&obj_bytes));
+    for threads in [Threads::Count(2), Threads::Count(3)] {
+        for budget in [ROOMY, TIGHT] {
+            let options = CompileOptions { threads: threads.clone(), ..options.clone() };
+            assert!(compile_path(&obj, &options, budget).1 == obj_bytes, "{threads:?} {budget:?}");
+        }
+    }
+}
+
+/// A mesh as OBJ text of the shortest decimals, faces as soon as their vertices are there.
+fn obj_text(mesh: &Mesh) -> String {
+    let Vertices::Float64(vertices) = &mesh.vertices else { panic!("in f64") };
+    let mut triangles = mesh.triangles.iter().peekable();
+    let mut text = String::new();
+    for (index, [x, y, z]) in vertices.iter().enumerate() {
+        text += &format!("v {x} {y} {z}\n");
+        while let Some([a, b, c]) =
+            triangles.next_if(|triangle| triangle.iter().all(|vertex| *vertex as usize <= index))
+        {
+            text += &format!("f {} {} {}\n", a + 1, b + 1, c + 1);
+        }
+    }
+    text
+}
+
+#[test]
+fn one_number_that_f32_does_not_keep_brings_the_rule_of_f64_back() {
+    for (origin, spacing, is_lattice) in [([0.5, 1.0, 2.0], 0.25, false), ([1e4, 1e4, 1e4], 0.01, true)] {
+        // More vertices than a reader sends at once.
+        let mut mesh = sheet(190, origin, spacing);
+        let Vertices::Float64(vertices) = &mut mesh.vertices else { unreachable!() };
+        // What the shortest decimals of f32 say.
+        let text_of_f32 = |x: f64| (x as f32).to_string().parse::<f64>().unwrap();
+        vertices.iter_mut().for_each(|vertex| *vertex = vertex.map(text_of_f32));
+        let place = Place::new();
+        let input = place.path().join("sheet.obj");
+        std::fs::write(&input, obj_text(&mesh)).unwrap();
+        let (report, _) = compile_path(&input, &CompileOptions::default(), ROOMY);
+        assert_eq!(report.precision, Precision::Float32);
+        for late in [false, true] {
+            let mut mesh = mesh.clone();
+            let Vertices::Float64(vertices) = &mut mesh.vertices else { unreachable!() };
+            let at = if late { vertices.len() - 1 } else { 7 };
+            vertices[at][0] += 0.000_123_456_789;
+            std::fs::write(&input, obj_text(&mesh)).unwrap();
+            let (expected, expected_bytes) = compile(&mesh, &CompileOptions::default(), ROOMY);
+            assert_eq!(matches!(expected.precision, Precision::Lattice(_)), is_lattice);
+            for threads in [Threads::One, Threads::Count(2)] {
+                let options = CompileOptions { threads, ..CompileOptions::default() };
+                let (report, bytes) = compile_path(&input, &options, ROOMY);
+                assert_eq!(report.precision, expected.precision);
+                assert_eq!(
+                    (report.error_bound, report.tolerance_met),
+                    (expected.error_bound, expected.tolerance_met)
+                );
+                assert!(contents(&bytes) == contents(&expected_bytes), "{origin:?} {late}");
+            }
         }
     }
 }

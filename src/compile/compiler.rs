@@ -64,7 +64,15 @@ pub struct Compiler<'p> {
     stage: Stage,
     /// What is kept of f64 vertices.
     keep: Keep,
+    /// Whether every vertex came as f32 or as text whose digits f32 keeps, so that the file can be `Float32` whatever the triangles are.
+    all_float32: bool,
+    /// Whether text was narrowed to f32 that would be needed if `all_float32` became false.
+    narrowed: bool,
     watch: RoundingWatch,
+    /// Whether `watch` has seen the triangles so far.
+    watching: bool,
+    /// What is missing of the vertices, once an error says so.
+    needed: Option<Keep>,
     queue: Vec<[u32; 3]>,
     queue_material: u16,
     triangles: u64,
@@ -158,10 +166,14 @@ impl<'p> Compiler<'p> {
             grid: Some(Grid::new()),
             keep: match options.precision {
                 PrecisionChoice::Auto => Keep::Both,
-                PrecisionChoice::Float32 => Keep::Rounded,
+                PrecisionChoice::Float32 => Keep::Narrow,
                 PrecisionChoice::Lattice { .. } => Keep::Exact,
             },
+            all_float32: true,
+            narrowed: false,
             watch: RoundingWatch::new(),
+            watching: false,
+            needed: None,
             queue: Vec::new(),
             queue_material: 0,
             triangles: 0,
@@ -185,9 +197,18 @@ impl<'p> Compiler<'p> {
 
     /// Whether `Auto` turned out to need more of the vertices than was kept, and what; asked after an error.
     pub(super) fn needs(&self) -> Option<Keep> {
-        let hoped = self.keep == Keep::Rounded && self.options.precision == PrecisionChoice::Auto;
-        let needs = if self.watch.is_certain() { Keep::Exact } else { Keep::Both };
-        (hoped && self.watch.exceeded()).then_some(needs)
+        self.needed
+    }
+
+    /// The error of vertices of which too little was kept.
+    fn need(&mut self, keep: Keep) -> CompileError {
+        self.needed = Some(keep);
+        CompileError::Limit { reason: NEEDS_EXACT.into() }
+    }
+
+    /// The threads that the compile may use; they have nothing to do before the last vertex has come.
+    pub(super) fn pool(&self) -> Option<&Arc<rayon::ThreadPool>> {
+        self.pool.as_ref()
     }
 
     /// Ends an attempt; the time it took is for [`Compiler::add_spent`].
@@ -203,11 +224,13 @@ impl<'p> Compiler<'p> {
         self.scatter.merge(&spent.scatter);
     }
 
-    /// What `Auto` shall keep of f64 vertices. [`Keep::Rounded`] hopes for `Float32`: the mesh has to come once more if
-    /// [`Compiler::needs`] says so. [`Keep::Exact`] knows that it will not be `Float32`.
+    /// What `Auto` shall keep of vertices that are not f32. [`Keep::Narrow`] hopes for text that f32 keeps, [`Keep::Rounded`] for
+    /// triangles that f32 is fine enough for: the mesh has to come once more if [`Compiler::needs`] says so.
+    /// [`Keep::Exact`] knows that it will not be `Float32`.
     pub(super) fn set_keep(&mut self, keep: Keep) {
         if self.options.precision == PrecisionChoice::Auto {
             self.keep = keep;
+            self.all_float32 = keep == Keep::Narrow;
         }
     }
 
@@ -232,7 +255,27 @@ impl<'p> Compiler<'p> {
 
     /// Sends on what was gathered, so that [`Compiler::needs`] speaks for the whole mesh.
     pub(super) fn drain(&mut self) -> Result<(), CompileError> {
-        self.drain_queue()
+        self.drain_queue()?;
+        self.timed(|compiler| compiler.watch_waiting(&[]))
+    }
+
+    /// Watches triangles that are to wait, if the precision depends on them, and before them those that wait already.
+    fn watch_waiting(&mut self, triangles: &[[u32; 3]]) -> Result<(), CompileError> {
+        let Stage::Waiting(faces) = &mut self.stage else { return Ok(()) };
+        if self.all_float32 || self.options.precision != PrecisionChoice::Auto {
+            return Ok(());
+        }
+        let (watch, store) = (&mut self.watch, &mut self.store);
+        if !self.watching {
+            self.watching = true;
+            faces.replay(|triangles, _, _| watch.watch(triangles, store))?;
+        }
+        watch.watch(triangles, store)?;
+        if watch.exceeded() && self.keep == Keep::Rounded {
+            let needed = if watch.is_certain() { Keep::Exact } else { Keep::Both };
+            return Err(self.need(needed));
+        }
+        Ok(())
     }
 
     /// Sends the queue on.
@@ -250,16 +293,9 @@ impl<'p> Compiler<'p> {
 
     /// Scatters triangles, or keeps them.
     fn place(&mut self, triangles: &[[u32; 3]], material: u16, first_id: u64) -> Result<(), CompileError> {
+        self.watch_waiting(triangles)?;
         match &mut self.stage {
-            Stage::Waiting(faces) => {
-                if self.options.precision == PrecisionChoice::Auto {
-                    self.watch.watch(triangles, &mut self.store)?;
-                    if self.watch.exceeded() && self.keep == Keep::Rounded {
-                        return Err(CompileError::Limit { reason: NEEDS_EXACT.into() });
-                    }
-                }
-                faces.push(triangles, material)
-            }
+            Stage::Waiting(faces) => faces.push(triangles, material),
             Stage::Narrow(placer) => placer.add(triangles, material, first_id, &mut self.store, &AsFloat32),
             Stage::Lattice(placer, form) => placer.add(triangles, material, first_id, &mut self.store, form),
             Stage::Done => Ok(()),
@@ -271,7 +307,7 @@ impl<'p> Compiler<'p> {
         let precision = match self.options.precision {
             PrecisionChoice::Float32 => Precision::Float32,
             PrecisionChoice::Lattice { exponent } => Precision::Lattice(Lattice { exponent }),
-            PrecisionChoice::Auto if matches!(self.store, VertexStore::Float32(_)) => Precision::Float32,
+            PrecisionChoice::Auto if self.all_float32 => Precision::Float32,
             PrecisionChoice::Auto => return None,
         };
         Some(Decision { precision, tolerance_met: true })
@@ -360,7 +396,7 @@ impl<'p> Compiler<'p> {
     /// # Errors
     /// [`CompileError`]; no file is left then, and one that had the name before is as it was.
     pub fn finish(mut self) -> Result<CompileReport, CompileError> {
-        self.drain_queue()?;
+        self.drain()?;
         self.left = self.parse.add_since(self.left);
         if self.triangles == 0 {
             return Err(CompileError::Empty);
@@ -519,7 +555,7 @@ impl MeshSink for Compiler<'_> {
                     grid.count(items.iter().map(|vertex| vertex.map(f64::from)));
                     items.len()
                 }
-                VertexBatch::Float64(items) => {
+                VertexBatch::Float64(items) | VertexBatch::Float32Text(items) => {
                     grid.count(items.iter().copied());
                     items.len()
                 }
@@ -527,6 +563,19 @@ impl MeshSink for Compiler<'_> {
             if compiler.store.len() as u64 + count as u64 > u64::from(u32::MAX) {
                 let reason = "the model has more than 2^32 - 1 vertices; split it".into();
                 return Err(CompileError::Limit { reason });
+            }
+            match batch {
+                VertexBatch::Float32(_) => {}
+                VertexBatch::Float32Text(_) => compiler.narrowed |= compiler.keep == Keep::Narrow,
+                VertexBatch::Float64(_) => {
+                    if compiler.narrowed && compiler.options.precision == PrecisionChoice::Auto {
+                        return Err(compiler.need(Keep::Rounded));
+                    }
+                    compiler.all_float32 = false;
+                    if compiler.keep == Keep::Narrow {
+                        compiler.keep = Keep::Rounded;
+                    }
+                }
             }
             compiler.store.extend(batch, compiler.keep, &compiler.place, headroom)
         })

@@ -21,9 +21,9 @@ pub fn compile_file(
     progress: &mut dyn FnMut(Progress) -> Control,
 ) -> Result<CompileReport, CompileError> {
     let source = source_record(input)?;
-    // A file can be read again, so the rare need for exact vertices costs a second reading and not the space to keep them
+    // A file can be read again, so the rare need for more of the vertices costs another reading and not the space to keep it
     // every time.
-    let (mut keep, mut spent) = (Keep::Rounded, None);
+    let (mut keep, mut spent) = (Keep::Narrow, None);
     loop {
         let mut compiler = Compiler::new(output, options.clone(), budget, &mut *progress)?;
         compiler.set_source(source);
@@ -31,10 +31,11 @@ pub fn compile_file(
         if let Some(spent) = &spent {
             compiler.add_spent(spent);
         }
-        let imported = import_file(input, &ImportOptions::default(), &mut compiler);
+        let import_options = ImportOptions { pool: compiler.pool().cloned(), ..ImportOptions::default() };
+        let imported = import_file(input, &import_options, &mut compiler);
         let imported = imported.map_err(sink_error).and_then(|_| compiler.drain());
         match (imported, compiler.needs()) {
-            // Asks at most once: with more kept there is nothing to need.
+            // Asks for more each time, so at most twice.
             (Err(_), Some(needed)) => (keep, spent) = (needed, Some(compiler.into_spent())),
             (Err(error), None) => return Err(error),
             (Ok(()), _) => return compiler.finish(),

@@ -198,7 +198,7 @@ impl VertexStore {
     /// Does `work` with a lookup in this store.
     pub(super) fn serve<F: Form, W: Work<F::Point>>(&mut self, form: &F, work: W) -> W::Output {
         match self {
-            VertexStore::Float32(pages) => work.run(&mut Fetching(pages, form)),
+            VertexStore::Float32 { pages, .. } => work.run(&mut Fetching(pages, form)),
             VertexStore::Rounded { exact: Some(exact), .. } if F::FROM_EXACT => {
                 work.run(&mut Fetching(exact, form))
             }
@@ -210,7 +210,7 @@ impl VertexStore {
     /// The same for a store that is resident, which several threads may read at once.
     pub(super) fn serve_resident<F: Form, W: Work<F::Point>>(&self, form: &F, work: W) -> W::Output {
         match self {
-            VertexStore::Float32(pages) => work.run(&mut Resident(pages, form)),
+            VertexStore::Float32 { pages, .. } => work.run(&mut Resident(pages, form)),
             VertexStore::Rounded { exact: Some(exact), .. } if F::FROM_EXACT => {
                 work.run(&mut Resident(exact, form))
             }

@@ -45,7 +45,9 @@ impl Default for CompileOptions {
 /// How the precision of a compiled file is chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PrecisionChoice {
-    /// Binary f32 input is kept bit for bit. Text and f64 input becomes `Float32` if rounding moves no vertex by more
+    /// Binary f32 input is kept bit for bit. Text becomes `Float32` if that keeps every digit: if the f32 nearest to each coordinate
+    /// is at most half a unit of the last written digit away, as it is in text that was written from f32. Other text and f64 input
+    /// becomes `Float32` if rounding moves no vertex by more
     /// than [`AUTO_TOLERANCE`] of the shortest edge of its triangles, else the coarsest lattice that meets that
     /// bound; if none does within the range of the lattice, the finest that covers the model.
     #[default]
@@ -159,7 +161,8 @@ pub struct CompileReport {
     pub skipped: u64,
     /// How positions are held.
     pub precision: Precision,
-    /// Largest distance between a vertex of the source and the stored one, per axis; 0 if nothing was rounded.
+    /// Largest distance between a vertex of the source and the stored one, per axis; 0 if nothing was rounded. A number in text counts
+    /// as the f64 next to it.
     pub error_bound: f64,
     /// Whether the precision keeps the promise of [`PrecisionChoice::Auto`]; true for any other choice.
     pub tolerance_met: bool,

@@ -52,7 +52,7 @@ impl RoundingWatch {
             return Ok(());
         }
         let (rounded, exact) = match store {
-            VertexStore::Float32(_) => return Ok(()),
+            VertexStore::Float32 { .. } => return Ok(()),
             VertexStore::Rounded { rounded, exact, .. } => (rounded, exact),
             VertexStore::Exact(_) => {
                 self.shortest = shortest_square(triangles, store, self.shortest)?;

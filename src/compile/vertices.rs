@@ -5,9 +5,11 @@ use super::spill::SpillPlace;
 use crate::error::CompileError;
 use crate::import::VertexBatch;
 
-/// What is kept of vertices that come as f64.
+/// What is kept of vertices that come as f64 or as text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Keep {
+    /// The f32 of text whose digits that keeps, and otherwise as for `Rounded`.
+    Narrow,
     /// Their f32 rounding: enough for a `Float32` file, and to see whether it would be a good one.
     Rounded,
     /// The rounding, and themselves for the case that it is not.
@@ -19,8 +21,12 @@ pub(super) enum Keep {
 /// The vertices so far.
 #[derive(Debug)]
 pub(super) enum VertexStore {
-    /// Every vertex came as f32.
-    Float32(Pages<[f32; 3]>),
+    /// Every vertex came as f32, or as text for [`Keep::Narrow`].
+    Float32 {
+        pages: Pages<[f32; 3]>,
+        /// Largest move of a coordinate of text.
+        move_max: f64,
+    },
     /// Some came as f64; rounded to f32 with the distance that this moved them (rounded up), which is infinite where f32 cannot
     /// hold them and NaN where they are not finite.
     Rounded {
@@ -36,29 +42,30 @@ pub(super) enum VertexStore {
 
 impl VertexStore {
     pub(super) fn new(place: SpillPlace, headroom: u64) -> VertexStore {
-        VertexStore::Float32(Pages::new(place, headroom))
+        VertexStore::Float32 { pages: Pages::new(place, headroom), move_max: 0.0 }
     }
 
     pub(super) fn len(&self) -> usize {
         match self {
-            VertexStore::Float32(pages) => pages.len(),
+            VertexStore::Float32 { pages, .. } => pages.len(),
             VertexStore::Rounded { rounded, .. } => rounded.len(),
             VertexStore::Exact(pages) => pages.len(),
         }
     }
 
-    /// No vertex is moved further by rounding to f32 (those that f32 cannot hold aside).
+    /// No vertex is moved further by rounding to f32, along no axis (those that f32 cannot hold aside).
     pub(super) fn move_max(&self) -> f64 {
         match self {
+            VertexStore::Float32 { move_max, .. } => *move_max,
             VertexStore::Rounded { move_max, .. } => f64::from(*move_max),
-            _ => 0.0,
+            VertexStore::Exact(_) => 0.0,
         }
     }
 
     /// What it holds of the budget.
     pub(super) fn memory_bytes(&self) -> u64 {
         match self {
-            VertexStore::Float32(pages) => pages.memory_bytes(),
+            VertexStore::Float32 { pages, .. } => pages.memory_bytes(),
             VertexStore::Rounded { rounded, exact, .. } => {
                 rounded.memory_bytes() + exact.as_ref().map_or(0, |exact| exact.memory_bytes())
             }
@@ -68,7 +75,7 @@ impl VertexStore {
 
     pub(super) fn spill_bytes(&self) -> u64 {
         match self {
-            VertexStore::Float32(pages) => pages.spill_bytes(),
+            VertexStore::Float32 { pages, .. } => pages.spill_bytes(),
             VertexStore::Rounded { rounded, exact, .. } => {
                 rounded.spill_bytes() + exact.as_ref().map_or(0, |exact| exact.spill_bytes())
             }
@@ -79,7 +86,7 @@ impl VertexStore {
     /// How many pages were read back so far.
     pub(super) fn fetches(&self) -> u64 {
         match self {
-            VertexStore::Float32(pages) => pages.fetches(),
+            VertexStore::Float32 { pages, .. } => pages.fetches(),
             VertexStore::Rounded { rounded, exact, .. } => {
                 rounded.fetches() + exact.as_ref().map_or(0, |exact| exact.fetches())
             }
@@ -90,7 +97,7 @@ impl VertexStore {
     /// Gives back what memory it can do without.
     pub(super) fn shrink(&mut self) {
         match self {
-            VertexStore::Float32(pages) => pages.shrink(),
+            VertexStore::Float32 { pages, .. } => pages.shrink(),
             VertexStore::Rounded { rounded, exact, .. } => {
                 rounded.shrink();
                 if let Some(exact) = exact {
@@ -116,22 +123,38 @@ impl VertexStore {
         place: &SpillPlace,
         headroom: u64,
     ) -> Result<(), CompileError> {
-        if let (VertexStore::Float32(narrow), VertexBatch::Float64(_)) = (&mut *self, batch) {
-            *self = widen(narrow, keep, place, headroom)?;
+        if let VertexStore::Float32 { pages, move_max } = &mut *self {
+            let stays = match batch {
+                VertexBatch::Float32(_) => true,
+                VertexBatch::Float64(_) => false,
+                VertexBatch::Float32Text(_) => keep == Keep::Narrow,
+            };
+            if !stays {
+                *self = widen(pages, *move_max, keep, place, headroom)?;
+            }
         }
         match (self, batch) {
-            (VertexStore::Float32(pages), VertexBatch::Float32(items)) => {
+            (VertexStore::Float32 { pages, .. }, VertexBatch::Float32(items)) => {
                 pages.extend(items, |vertex| vertex)
             }
+            (VertexStore::Float32 { pages, move_max }, VertexBatch::Float32Text(items)) => {
+                pages.extend(items, |vertex| narrow(vertex, move_max))
+            }
+            (VertexStore::Float32 { .. }, VertexBatch::Float64(_)) => unreachable!("widened above"),
             (VertexStore::Exact(pages), VertexBatch::Float32(items)) => {
                 pages.extend(items, |vertex| vertex.map(f64::from))
             }
-            (VertexStore::Exact(pages), VertexBatch::Float64(items)) => pages.extend(items, |vertex| vertex),
+            (VertexStore::Exact(pages), VertexBatch::Float64(items) | VertexBatch::Float32Text(items)) => {
+                pages.extend(items, |vertex| vertex)
+            }
             (VertexStore::Rounded { rounded, exact, .. }, VertexBatch::Float32(items)) => {
                 rounded.extend(items, unmoved)?;
                 exact.as_mut().map_or(Ok(()), |exact| exact.extend(items, |vertex| vertex.map(f64::from)))
             }
-            (VertexStore::Rounded { rounded, exact, move_max }, VertexBatch::Float64(items)) => {
+            (
+                VertexStore::Rounded { rounded, exact, move_max },
+                VertexBatch::Float64(items) | VertexBatch::Float32Text(items),
+            ) => {
                 rounded.extend(items, |vertex| {
                     let rounded = round(vertex);
                     if rounded[3] > *move_max && rounded[3].is_finite() {
@@ -141,14 +164,13 @@ impl VertexStore {
                 })?;
                 exact.as_mut().map_or(Ok(()), |exact| exact.extend(items, |vertex| vertex))
             }
-            (VertexStore::Float32(_), VertexBatch::Float64(_)) => unreachable!("widened above"),
         }
     }
 
     /// Whether all that `position` and `narrow` read is in memory.
     pub(super) fn is_resident(&self) -> bool {
         match self {
-            VertexStore::Float32(pages) => pages.is_resident(),
+            VertexStore::Float32 { pages, .. } => pages.is_resident(),
             VertexStore::Rounded { rounded, exact, .. } => {
                 rounded.is_resident() && exact.as_ref().is_none_or(|exact| exact.is_resident())
             }
@@ -159,7 +181,7 @@ impl VertexStore {
     /// The position of a vertex below `len`, as exact as it was kept.
     pub(super) fn position(&mut self, vertex: u32) -> Result<[f64; 3], CompileError> {
         match self {
-            VertexStore::Float32(pages) => Ok(pages.get(vertex)?.map(f64::from)),
+            VertexStore::Float32 { pages, .. } => Ok(pages.get(vertex)?.map(f64::from)),
             VertexStore::Rounded { exact: Some(exact), .. } => exact.get(vertex),
             VertexStore::Rounded { rounded, .. } => {
                 let [x, y, z, _] = rounded.get(vertex)?;
@@ -172,7 +194,7 @@ impl VertexStore {
     /// [`VertexStore::position`] of a store that is resident.
     pub(super) fn position_resident(&self, vertex: u32) -> [f64; 3] {
         match self {
-            VertexStore::Float32(pages) => pages.get_resident(vertex).map(f64::from),
+            VertexStore::Float32 { pages, .. } => pages.get_resident(vertex).map(f64::from),
             VertexStore::Rounded { exact: Some(exact), .. } => exact.get_resident(vertex),
             VertexStore::Rounded { rounded, .. } => {
                 let [x, y, z, _] = rounded.get_resident(vertex);
@@ -183,9 +205,11 @@ impl VertexStore {
     }
 }
 
-/// A store for f64 with the f32 vertices that came before.
+/// A store for f64 with the f32 vertices that came before, none of which was moved by more than `move_max`. How far each was moved is
+/// not known any more: it counts as 0.
 fn widen(
     narrow: &mut Pages<[f32; 3]>,
+    move_max: f64,
     keep: Keep,
     place: &SpillPlace,
     headroom: u64,
@@ -197,20 +221,37 @@ fn widen(
         if keep != Keep::Exact {
             rounded.extend(&[vertex], unmoved)?;
         }
-        if keep != Keep::Rounded {
+        if matches!(keep, Keep::Both | Keep::Exact) {
             exact.extend(&[vertex], |vertex| vertex.map(f64::from))?;
         }
     }
+    // Rounded up.
+    let move_max = if move_max > 0.0 { (move_max as f32).next_up() } else { 0.0 };
     Ok(match keep {
         Keep::Exact => VertexStore::Exact(exact),
-        Keep::Both => VertexStore::Rounded { rounded, move_max: 0.0, exact: Some(Box::new(exact)) },
-        Keep::Rounded => VertexStore::Rounded { rounded, move_max: 0.0, exact: None },
+        Keep::Both => VertexStore::Rounded { rounded, move_max, exact: Some(Box::new(exact)) },
+        Keep::Narrow | Keep::Rounded => VertexStore::Rounded { rounded, move_max, exact: None },
     })
 }
 
 /// A vertex that came as f32. If it is not finite its move is not either.
 fn unmoved([x, y, z]: [f32; 3]) -> [f32; 4] {
     [x, y, z, if (x + y + z).is_nan() || [x, y, z].iter().any(|x| !x.is_finite()) { f32::NAN } else { 0.0 }]
+}
+
+/// A vertex in f32; `move_max` grows to the largest of its moves along the axes, which are exact in f64.
+#[inline]
+fn narrow(vertex: [f64; 3], move_max: &mut f64) -> [f32; 3] {
+    let [x, y, z] = vertex;
+    let rounded = [x as f32, y as f32, z as f32];
+    for axis in 0..3 {
+        let moved = (vertex[axis] - f64::from(rounded[axis])).abs();
+        // False for NaN, which infinities give: text in words.
+        if moved > *move_max {
+            *move_max = moved;
+        }
+    }
+    rounded
 }
 
 /// A vertex in f32, and how far that moved it at most.

@@ -20,6 +20,8 @@ pub struct MeshBuffer {
     pub vertices_complete: bool,
     /// How many of the vertices came as f32.
     pub float32_count: usize,
+    /// How many of them came as text whose digits f32 keeps.
+    pub float32_text_count: usize,
 }
 
 impl MeshBuffer {
@@ -53,6 +55,10 @@ impl MeshSink for MeshBuffer {
                 self.vertices.extend(positions.iter().map(|position| position.map(f64::from)));
             }
             VertexBatch::Float64(positions) => self.vertices.extend_from_slice(positions),
+            VertexBatch::Float32Text(positions) => {
+                self.float32_text_count += positions.len();
+                self.vertices.extend_from_slice(positions);
+            }
         }
         Ok(())
     }

@@ -19,6 +19,8 @@ pub(super) struct Feed<'a> {
     /// Not yet sent; at most one of `singles` and `doubles` is not empty.
     singles: Vec<[f32; 3]>,
     doubles: Vec<[f64; 3]>,
+    /// Whether all of `doubles` that came came as text whose digits f32 keeps.
+    digits_kept: bool,
     /// The batch of doubles sent last: polygons mostly name vertices that came just before them.
     recent: Vec<[f64; 3]>,
     /// Index of the first vertex of `recent`; those of the unsent batch follow on `sent_vertices`.
@@ -49,6 +51,7 @@ impl<'a> Feed<'a> {
             sink,
             singles: Vec::new(),
             doubles: Vec::new(),
+            digits_kept: true,
             recent: Vec::new(),
             recent_start: 0,
             sent_vertices: 0,
@@ -63,6 +66,12 @@ impl<'a> Feed<'a> {
         }
     }
 
+    /// Whether f32 keeps all digits of the vertices so far. Once it does not, it matters no more for the others.
+    #[inline]
+    pub(super) fn are_digits_kept(&self) -> bool {
+        self.digits_kept
+    }
+
     /// Vertices that have come so far, sent or not.
     pub(super) fn vertex_count(&self) -> u64 {
         self.sent_vertices + (self.singles.len() + self.doubles.len()) as u64
@@ -71,10 +80,36 @@ impl<'a> Feed<'a> {
     /// Appends a vertex.
     #[inline]
     pub(super) fn vertex64(&mut self, position: [f64; 3]) -> Result<(), ImportError> {
+        self.vertex_text(position, false)
+    }
+
+    /// Appends a vertex from text, of which `is_kept` says whether f32 keeps all its digits.
+    #[inline]
+    pub(super) fn vertex_text(&mut self, position: [f64; 3], is_kept: bool) -> Result<(), ImportError> {
         if self.doubles.len() == self.doubles.capacity() || !self.singles.is_empty() {
             self.make_room64()?;
         }
+        self.digits_kept &= is_kept;
         self.doubles.push(position);
+        Ok(())
+    }
+
+    /// [`Feed::vertex_text`] for many.
+    pub(super) fn vertices_text(
+        &mut self,
+        mut positions: &[[f64; 3]],
+        is_kept: bool,
+    ) -> Result<(), ImportError> {
+        while !positions.is_empty() {
+            if self.doubles.len() == self.doubles.capacity() || !self.singles.is_empty() {
+                self.make_room64()?;
+            }
+            self.digits_kept &= is_kept;
+            let (here, rest) =
+                positions.split_at(positions.len().min(self.doubles.capacity() - self.doubles.len()));
+            self.doubles.extend_from_slice(here);
+            positions = rest;
+        }
         Ok(())
     }
 
@@ -132,6 +167,17 @@ impl<'a> Feed<'a> {
             self.send_triangles()?;
         }
         self.triangles.push(triangle);
+        Ok(())
+    }
+
+    /// [`Feed::triangle`] for many.
+    pub(super) fn triangles(&mut self, mut triangles: &[[u32; 3]]) -> Result<(), ImportError> {
+        while !triangles.is_empty() {
+            let batch = self.triangles_with_room()?;
+            let (here, rest) = triangles.split_at(triangles.len().min(BATCH_COUNT - batch.len()));
+            batch.extend_from_slice(here);
+            triangles = rest;
+        }
         Ok(())
     }
 
@@ -239,7 +285,11 @@ impl<'a> Feed<'a> {
             self.singles.clear();
         }
         if !self.doubles.is_empty() {
-            self.sink.vertices(VertexBatch::Float64(&self.doubles)).map_err(sink_error)?;
+            let batch = match self.digits_kept {
+                true => VertexBatch::Float32Text(&self.doubles),
+                false => VertexBatch::Float64(&self.doubles),
+            };
+            self.sink.vertices(batch).map_err(sink_error)?;
             self.recent_start = self.sent_vertices;
             self.sent_vertices += self.doubles.len() as u64;
             std::mem::swap(&mut self.recent, &mut self.doubles);

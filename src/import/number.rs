@@ -1,14 +1,28 @@
-//! Decimal text to the nearest f64, ties to even.
+//! Decimal text to the nearest f64, ties to even; rounding that to f32 gives the f32 nearest to the text.
 //!
 //! Most numbers in model files have at most 15 digits and no exponent. Their digits are an integer below 2^53 and
 //! their scale is a power of ten up to 10^22, both exact in f64, so that one division rounds once and correctly
 //! (Clinger, "How to read floating point numbers accurately", 1990). Everything else goes to `fast-float2`.
+//!
+//! Where the nearest f64 is halfway between two f32 numbers and the text is not quite, rounding twice could go wrong. There the f64
+//! next to it on the side of the text is given, one in 2^29 numbers.
 
 /// Powers of ten that are exact in f64.
 const EXACT_POWERS: [f64; 23] = [
     1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18,
     1e19, 1e20, 1e21, 1e22,
 ];
+
+/// Half a unit of the last digit, by the places after the point; the nearest f64.
+const HALF_UNITS: [f64; EXACT_POWERS.len()] = {
+    let mut halves = [0.5; EXACT_POWERS.len()];
+    let mut places = 0;
+    while places < halves.len() {
+        halves[places] /= EXACT_POWERS[places];
+        places += 1;
+    }
+    halves
+};
 
 /// Powers of ten by which up to eight new digits move the earlier ones.
 pub(super) const SHIFTS: [u64; 9] = [1, 10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000, 100_000_000];
@@ -27,7 +41,7 @@ pub(super) fn parse(token: &[u8]) -> Option<f64> {
         _ => token,
     };
     if let Ok(value) = fast_float2::parse::<f64, _>(unsigned) {
-        return Some(value);
+        return Some(beside_halfway(value, unsigned));
     }
     let (sign, rest) = match unsigned {
         [b'-', rest @ ..] => (-1.0, rest),
@@ -38,6 +52,26 @@ pub(super) fn parse(token: &[u8]) -> Option<f64> {
         return Some(sign * f64::INFINITY);
     }
     [b"IND".as_slice(), b"QNAN", b"SNAN"].iter().any(|nan| name.starts_with(nan)).then_some(f64::NAN)
+}
+
+/// Whether an f64 is halfway between two neighbours among the f32 numbers from 2^-126 on.
+#[inline(always)]
+fn is_halfway(value: f64) -> bool {
+    // f64 has 29 bits more.
+    value.to_bits() & 0x1FFF_FFFF == 0x1000_0000
+}
+
+/// `value`, the f64 nearest to `token`, moved off the middle between two f32 numbers if the text is not there.
+fn beside_halfway(value: f64, token: &[u8]) -> f64 {
+    let is_subnormal = value.abs() < f64::from(f32::MIN_POSITIVE) && value != 0.0;
+    if !is_halfway(value) && !is_subnormal {
+        return value;
+    }
+    match fast_float2::parse::<f32, _>(token) {
+        Ok(nearest) if f64::from(nearest) > f64::from(value as f32) => value.next_up(),
+        Ok(nearest) if f64::from(nearest) < f64::from(value as f32) => value.next_down(),
+        _ => value,
+    }
 }
 
 /// Up to eight decimal digits at `at`: their value and their count. Eight bytes must follow `at`.
@@ -59,10 +93,11 @@ pub(super) fn digits(data: &[u8], at: usize) -> Option<(u32, usize)> {
     Some(((low.wrapping_add(high) >> 32) as u32, count))
 }
 
-/// Reads the number at `at` and gives the place after it, which is a blank, a tab or a line end. At least eight
-/// bytes that end any number must follow the valid ones.
+/// Reads the number at `at` and gives the place after it, which is a blank, a tab or a line end, and before that whether it is
+/// certain that f32 keeps all its digits; [`super::decimal`] has the last word. At least eight bytes that end any number must
+/// follow the valid ones.
 #[inline(always)]
-pub(super) fn scan(data: &[u8], at: usize) -> Option<(f64, usize)> {
+pub(super) fn scan(data: &[u8], at: usize) -> Option<(f64, bool, usize)> {
     let start = at;
     let negative = *data.get(at)? == b'-';
     let mut at = at + usize::from(negative);
@@ -96,14 +131,21 @@ pub(super) fn scan(data: &[u8], at: usize) -> Option<(f64, usize)> {
     let ends = matches!(data.get(at)?, b' ' | b'\n' | b'\r' | b'\t');
     if ends && digit_count > 0 && digit_count <= 19 && mantissa <= 1 << 53 {
         let value = mantissa as f64 / EXACT_POWERS[fraction_count];
-        return Some((if negative { -value } else { value }, at));
+        if is_halfway(value) {
+            return scan_any(data, start);
+        }
+        // The value is off by at most 2^-53 of it, and it is at least a unit unless it is zero: 2^-52 of it covers that and the
+        // roundings here. It is below 2^-126 only if it is zero.
+        let move_max = (value - f64::from(value as f32)).abs() + value * f64::EPSILON;
+        let is_kept = move_max <= HALF_UNITS[fraction_count];
+        return Some((if negative { -value } else { value }, is_kept, at));
     }
     scan_any(data, start)
 }
 
 /// The numbers that [`scan`] does not take itself.
 #[cold]
-fn scan_any(data: &[u8], start: usize) -> Option<(f64, usize)> {
+fn scan_any(data: &[u8], start: usize) -> Option<(f64, bool, usize)> {
     let length = data[start..].iter().position(|byte| matches!(byte, b' ' | b'\n' | b'\r' | b'\t'))?;
-    Some((parse(&data[start..start + length])?, start + length))
+    Some((parse(&data[start..start + length])?, false, start + length))
 }

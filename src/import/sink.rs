@@ -9,8 +9,12 @@ use crate::units::MaterialId;
 pub enum VertexBatch<'a> {
     /// From binary f32 (or narrower) sources.
     Float32(&'a [[f32; 3]]),
-    /// From text and f64 sources.
+    /// From f64 sources, and text that f32 cannot hold.
     Float64(&'a [[f64; 3]]),
+    /// From text of which f32 keeps every digit: the f32 nearest to a coordinate is at most half a unit of the last written digit
+    /// away, so that it gives the same text again. These are the numbers of the text, to be rounded to f32 if no vertex of the
+    /// mesh comes as `Float64`.
+    Float32Text(&'a [[f64; 3]]),
 }
 
 /// Receives an indexed mesh as a stream. Vertices are numbered from 0 in the order in which they come; a face

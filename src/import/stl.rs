@@ -6,6 +6,7 @@
 use std::io::Read;
 use std::path::Path;
 
+use super::decimal;
 use super::feed::Feed;
 use super::library::Materials;
 use super::meter::Meter;
@@ -178,15 +179,17 @@ impl Text<'_, '_> {
         match keyword.as_slice() {
             b"vertex" if facet.in_loop => {
                 let mut position = [0.0; 3];
+                let mut is_kept = feed.are_digits_kept();
                 for coordinate in &mut position {
                     let word = words.next().unwrap_or_default();
                     *coordinate = number::parse(word)
                         .ok_or_else(|| self.error(format!("`{}` is not a number", shown(word))))?;
+                    is_kept = is_kept && decimal::is_kept_by_float32(word, *coordinate);
                 }
                 if facet.corners.len() == super::polygon::CORNERS_MAX {
                     return Err(self.error("a facet with too many vertices"));
                 }
-                facet.corners.push(self.vertex(position, feed)?);
+                facet.corners.push(self.vertex(position, is_kept, feed)?);
             }
             b"vertex" => return Err(self.error("`vertex` outside of a loop")),
             b"outer" => {
@@ -216,10 +219,10 @@ impl Text<'_, '_> {
         Ok(())
     }
 
-    /// Appends a vertex and gives its index.
-    fn vertex(&self, position: [f64; 3], feed: &mut Feed<'_>) -> Result<u32, ImportError> {
+    /// Appends a vertex and gives its index. `is_kept`: whether f32 keeps its digits.
+    fn vertex(&self, position: [f64; 3], is_kept: bool, feed: &mut Feed<'_>) -> Result<u32, ImportError> {
         let index = u32::try_from(feed.vertex_count()).map_err(|_| self.error("more than 2^32 vertices"))?;
-        feed.vertex64(position)?;
+        feed.vertex_text(position, is_kept)?;
         Ok(index)
     }
 

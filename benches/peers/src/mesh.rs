@@ -40,7 +40,7 @@ impl MeshSink for Mesh {
     fn vertices(&mut self, batch: VertexBatch<'_>) -> Result<(), CompileError> {
         match batch {
             VertexBatch::Float32(positions) => self.vertices.extend_from_slice(positions),
-            VertexBatch::Float64(positions) => {
+            VertexBatch::Float64(positions) | VertexBatch::Float32Text(positions) => {
                 self.vertices.extend(positions.iter().map(|position| position.map(|x| x as f32)));
             }
         }

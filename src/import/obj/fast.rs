@@ -29,17 +29,17 @@ fn line_end(data: &[u8], at: usize) -> Option<usize> {
 }
 
 /// The rest of a `v` line: three numbers and up to four more (weight, colour), which are checked and dropped.
-/// Gives the position and the start of the next line.
+/// Gives the position, whether it is certain that f32 keeps its digits, and the start of the next line.
 #[inline(always)]
-pub(super) fn vertex(data: &[u8], at: usize) -> Option<([f64; 3], usize)> {
-    let (x, at) = number::scan(data, skip_blanks(data, at))?;
-    let (y, at) = number::scan(data, skip_blanks(data, at))?;
-    let (z, mut at) = number::scan(data, skip_blanks(data, at))?;
+pub(super) fn vertex(data: &[u8], at: usize) -> Option<([f64; 3], bool, usize)> {
+    let (x, x_kept, at) = number::scan(data, skip_blanks(data, at))?;
+    let (y, y_kept, at) = number::scan(data, skip_blanks(data, at))?;
+    let (z, z_kept, mut at) = number::scan(data, skip_blanks(data, at))?;
     for _ in 0..5 {
         if let Some(next) = line_end(data, at) {
-            return Some(([x, y, z], next));
+            return Some(([x, y, z], x_kept & y_kept & z_kept, next));
         }
-        (_, at) = number::scan(data, skip_blanks(data, at))?;
+        (_, _, at) = number::scan(data, skip_blanks(data, at))?;
     }
     None
 }

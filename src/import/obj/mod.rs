@@ -4,6 +4,8 @@
 //! over. Text may have any encoding. Lines end with LF, CRLF or CR, and `\` before the line end joins a line with
 //! the next (but not in comments).
 
+mod ahead;
+mod chunk;
 mod fast;
 mod parser;
 mod statement;
@@ -46,11 +48,12 @@ pub(super) fn read(
 ) -> Result<ImportReport, ImportError> {
     let mut parser = Parser::new(name, options, sink)?;
     let mut window = Window::new(reader, name, meter);
-    let postponed = parser.run(&mut window, reopen.is_some())?;
+    let postponed = parser.run(&mut window, reopen.is_some(), options.pool.as_ref())?;
     let (Some(postponed), Some(reopen)) = (postponed, reopen) else {
         return parser.finish(&window);
     };
-    // A face names a vertex further down. The vertices have all come by now; take the faces from there on.
+    // A face names a vertex further down. The vertices have all come by now; take the faces from there on, without other threads: the
+    // sink may have them at work.
     drop(window);
     let (reader, meter) = reopen()?;
     let mut window = Window::new(reader, name, meter);

@@ -1,15 +1,20 @@
 //! The way through the file: windows, lines, passes.
 
 use std::path::Path;
+use std::sync::Arc;
 
+use super::ahead::Ahead;
+use super::chunk::{CHUNK_BYTES, Chunk, RunKind, complete_lines};
 use super::fast::{self, Numbering};
 use crate::error::ImportError;
+use crate::import::decimal;
 use crate::import::feed::Feed;
 use crate::import::library::Materials;
 use crate::import::polygon::CORNERS_MAX;
 use crate::import::report::{ImportOptions, ImportReport};
 use crate::import::sink::MeshSink;
-use crate::import::window::{WINDOW_BYTES, Window};
+use crate::import::text::words;
+use crate::import::window::{PADDING_BYTES, WINDOW_BYTES, Window};
 use crate::units::MaterialId;
 
 /// What is taken on this way through the file.
@@ -77,16 +82,21 @@ impl<'a> Parser<'a> {
         })
     }
 
-    /// Reads the stream from its start. Gives a place to go on from if a face names a later vertex.
+    /// Reads the stream from its start, with the help of a pool's threads if there is one. Gives a place to go on from if a face
+    /// names a later vertex.
     pub(super) fn run(
         &mut self,
         window: &mut Window<'_>,
         may_postpone: bool,
+        pool: Option<&Arc<rayon::ThreadPool>>,
     ) -> Result<Option<Postponed>, ImportError> {
         self.may_postpone = may_postpone;
         window.refill()?;
         if window.data().starts_with(b"\xEF\xBB\xBF") {
             window.consume(3);
+        }
+        if let Some(pool) = pool {
+            self.chunks(window, Ahead::new(Arc::clone(pool)))?;
         }
         self.windows(window)?;
         self.feed.vertices_complete()?;
@@ -125,13 +135,75 @@ impl<'a> Parser<'a> {
         ImportError::Line { path: self.name.to_path_buf(), line, reason: reason.into() }
     }
 
+    /// Reads chunks of whole lines as long as there are such, parsed by other threads, and leaves the rest of the stream, if any.
+    fn chunks(&mut self, window: &mut Window<'_>, mut ahead: Ahead) -> Result<(), ImportError> {
+        // What is wrong with the stream comes after what is wrong with the lines before.
+        let mut fault = None;
+        let mut ended = false;
+        loop {
+            while !ended && ahead.has_room() {
+                let mut chunk = ahead.spare();
+                match next_chunk(window, &mut chunk) {
+                    Ok(true) => ahead.give(chunk, self.feed.are_digits_kept()),
+                    Ok(false) => ended = true,
+                    Err(error) => (ended, fault) = (true, Some(error)),
+                }
+            }
+            let Some(chunk) = ahead.take() else { break };
+            self.chunk(&chunk)?;
+            ahead.give_back(chunk);
+            self.feed.progress(window.progress())?;
+        }
+        fault.map_or(Ok(()), Err)
+    }
+
+    /// Takes the lines of a chunk.
+    fn chunk(&mut self, chunk: &Chunk) -> Result<(), ImportError> {
+        let (mut start, mut vertex, mut triangle, mut corner) = (0, 0, 0, 0);
+        for run in &chunk.runs {
+            let (end, count) = (run.end as usize, run.count as usize);
+            // All vertices that a face of the run names have come, and faces are wanted.
+            let is_known = u64::from(run.vertex_max) < self.feed.vertex_count() && self.pass == Pass::Whole;
+            match run.kind {
+                RunKind::Vertices => {
+                    let kept = chunk.kept_count.clamp(vertex, vertex + count);
+                    self.feed.vertices_text(&chunk.vertices[vertex..kept], true)?;
+                    self.feed.vertices_text(&chunk.vertices[kept..vertex + count], false)?;
+                    self.vertices_above += u64::from(run.count);
+                    self.known_count += u64::from(run.count);
+                    self.line += u64::from(run.count);
+                }
+                RunKind::Triangles if is_known => {
+                    self.feed.triangles(&chunk.triangles[triangle..triangle + count])?;
+                    self.line += u64::from(run.count);
+                }
+                RunKind::Face if is_known => {
+                    self.feed.face(&chunk.corners[corner..corner + count])?;
+                    self.line += 1;
+                }
+                // Whole statements: none goes on behind the end.
+                RunKind::Triangles | RunKind::Face | RunKind::Other => {
+                    self.lines(&chunk.text, start, end, true, chunk.offset)?;
+                }
+            }
+            match run.kind {
+                RunKind::Vertices => vertex += count,
+                RunKind::Triangles => triangle += count,
+                RunKind::Face => corner += count,
+                RunKind::Other => {}
+            }
+            start = end;
+        }
+        Ok(())
+    }
+
     fn windows(&mut self, window: &mut Window<'_>) -> Result<(), ImportError> {
         loop {
             window.refill()?;
             self.feed.progress(window.progress())?;
             let data = window.data();
             let end = if window.ended() { data.len() } else { whole_lines(data) };
-            let done = self.lines(window.padded(), end, window.ended(), window.offset())?;
+            let done = self.lines(window.padded(), 0, end, window.ended(), window.offset())?;
             let full = data.len() == WINDOW_BYTES;
             window.consume(done);
             if window.ended() && window.data().is_empty() {
@@ -143,15 +215,23 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// Reads the lines of `data[..end]`, which has whole lines only, and gives the place after the last; a line that
-    /// continues beyond `end` is left for the next window. `offset` is that of `data` in the stream.
-    fn lines(&mut self, data: &[u8], end: usize, ended: bool, offset: u64) -> Result<usize, ImportError> {
-        let mut at = 0;
+    /// Reads the lines of `data[at..end]`, which has whole lines only, and gives the place after the last; a line that
+    /// continues beyond `end` is left for the next window, unless the stream has `ended`. `offset` is that of `data` in the stream.
+    fn lines(
+        &mut self,
+        data: &[u8],
+        mut at: usize,
+        end: usize,
+        ended: bool,
+        offset: u64,
+    ) -> Result<usize, ImportError> {
         while at < end {
             match (data[at], data[at + 1]) {
                 (b'v', b' ') if self.pass != Pass::Faces => {
-                    if let Some((position, next)) = fast::vertex(data, at + 2) {
-                        self.vertex(position)?;
+                    if let Some((position, is_kept, next)) = fast::vertex(data, at + 2) {
+                        let is_kept = is_kept
+                            || self.feed.are_digits_kept() && are_digits_kept(position, &data[at + 2..next]);
+                        self.vertex(position, is_kept)?;
                         self.line += 1;
                         at = next;
                         continue;
@@ -183,12 +263,12 @@ impl<'a> Parser<'a> {
         Ok(at.min(end))
     }
 
-    /// Takes a vertex.
+    /// Takes a vertex, and whether f32 keeps its digits.
     #[inline(always)]
-    pub(super) fn vertex(&mut self, position: [f64; 3]) -> Result<(), ImportError> {
+    pub(super) fn vertex(&mut self, position: [f64; 3], is_kept: bool) -> Result<(), ImportError> {
         self.vertices_above += 1;
         self.known_count += 1;
-        if self.pass == Pass::Faces { Ok(()) } else { self.feed.vertex64(position) }
+        if self.pass == Pass::Faces { Ok(()) } else { self.feed.vertex_text(position, is_kept) }
     }
 
     /// What face indices count from on the current line.
@@ -225,6 +305,31 @@ impl<'a> Parser<'a> {
             window.refill()?;
         }
     }
+}
+
+/// Whether f32 keeps the digits of `position`, which stands at the start of `text`.
+#[cold]
+pub(super) fn are_digits_kept(position: [f64; 3], text: &[u8]) -> bool {
+    position.iter().zip(words(text)).all(|(value, word)| decimal::is_kept_by_float32(word, *value))
+}
+
+/// Fills a chunk with the next lines of the stream; false if there are none that can be read without what follows.
+fn next_chunk(window: &mut Window<'_>, chunk: &mut Chunk) -> Result<bool, ImportError> {
+    if window.data().len() < CHUNK_BYTES {
+        window.refill()?;
+    }
+    let data = window.data();
+    let end = if data.len() <= CHUNK_BYTES && window.ended() {
+        data.len()
+    } else {
+        complete_lines(&data[..data.len().min(CHUNK_BYTES)])
+    };
+    chunk.offset = window.offset();
+    chunk.text.clear();
+    chunk.text.extend_from_slice(&data[..end]);
+    chunk.text.extend_from_slice(&[b'\n'; PADDING_BYTES]);
+    window.consume(end);
+    Ok(end > 0)
 }
 
 /// Length of the whole lines in `data`, in a stream that goes on: a CR at the very end may be followed by an LF.

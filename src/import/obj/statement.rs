@@ -2,6 +2,7 @@
 
 use super::parser::{Parser, Pass};
 use crate::error::ImportError;
+use crate::import::decimal;
 use crate::import::number;
 use crate::import::polygon::CORNERS_MAX;
 use crate::import::text::{shown, words};
@@ -66,8 +67,8 @@ impl Parser<'_> {
         match keyword {
             b"" => return Ok(()),
             b"v" => {
-                let position = self.position(rest)?;
-                self.vertex(position)?;
+                let (position, is_kept) = self.position(rest)?;
+                self.vertex(position, is_kept)?;
             }
             b"f" | b"fo" if self.pass == Pass::Vertices => {}
             b"f" | b"fo" => self.face(rest, offset)?,
@@ -92,13 +93,16 @@ impl Parser<'_> {
         Ok(())
     }
 
-    /// The position of a `v`: three numbers, and up to four more (weight, colour) that are checked and dropped.
-    fn position(&self, rest: &[u8]) -> Result<[f64; 3], ImportError> {
+    /// The position of a `v`: three numbers, and up to four more (weight, colour) that are checked and dropped. With
+    /// it, whether f32 keeps its digits.
+    fn position(&self, rest: &[u8]) -> Result<([f64; 3], bool), ImportError> {
         let mut numbers = [0.0; 7];
         let mut count = 0;
+        let mut is_kept = self.feed.are_digits_kept();
         for word in arguments(rest) {
             let number = number::parse(word)
                 .ok_or_else(|| self.error(self.line, format!("`{}` is not a number", shown(word))))?;
+            is_kept = is_kept && (count >= 3 || decimal::is_kept_by_float32(word, number));
             match numbers.get_mut(count) {
                 Some(place) => *place = number,
                 None => return Err(self.error(self.line, "`v` with more than seven numbers")),
@@ -106,7 +110,7 @@ impl Parser<'_> {
             count += 1;
         }
         match numbers {
-            [x, y, z, ..] if count >= 3 => Ok([x, y, z]),
+            [x, y, z, ..] if count >= 3 => Ok(([x, y, z], is_kept)),
             _ => Err(self.error(self.line, format!("`v` with {count} numbers; three are needed"))),
         }
     }

@@ -2,6 +2,7 @@
 
 use super::header::{Encoding, Kind, Scalar};
 use crate::error::ImportError;
+use crate::import::decimal;
 use crate::import::number;
 use crate::import::window::Window;
 
@@ -53,6 +54,17 @@ impl<'w, 'a> Values<'w, 'a> {
             Value::Single(value) => f64::from(value),
             Value::Double(value) => value,
         })
+    }
+
+    /// The next value of a text file as a coordinate. `is_kept` becomes false if f32 does not keep its digits; once it is false
+    /// they are not looked at.
+    pub(super) fn text_float(&mut self, is_kept: &mut bool) -> Result<f64, ImportError> {
+        let length = self.token()?;
+        let token = &self.window.data()[..length];
+        let Some(value) = number::parse(token) else { return Err(self.not_a_number(length)) };
+        *is_kept = *is_kept && decimal::is_kept_by_float32(token, value);
+        self.window.consume(length);
+        Ok(value)
     }
 
     /// The next value as a count or an index.
@@ -136,11 +148,13 @@ impl<'w, 'a> Values<'w, 'a> {
                 self.window.consume(length);
                 Ok(value)
             }
-            None => {
-                let token = String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned();
-                Err(self.error(format!("`{token}` is not a number")))
-            }
+            None => Err(self.not_a_number(length)),
         }
+    }
+
+    fn not_a_number(&self, length: usize) -> ImportError {
+        let token = String::from_utf8_lossy(&self.window.data()[..length.min(40)]);
+        self.error(format!("`{token}` is not a number"))
     }
 
     /// Moves to the next token and gives its length.

@@ -20,11 +20,14 @@ pub(super) fn read(
     if let Some(layout) = PositionLayout::of(values.encoding(), element, axes) {
         left -= layout.read(values, left, feed)?;
     }
-    let exact_in_f32 = values.encoding() != Encoding::Ascii && axes.iter().all(|axis| axis.1.fits_f32());
+    let is_text = values.encoding() == Encoding::Ascii;
+    let exact_in_f32 = !is_text && axes.iter().all(|axis| axis.1.fits_f32());
     for _ in 0..left {
         let mut position = [0.0; 3];
+        let mut is_kept = feed.are_digits_kept();
         for (index, property) in element.properties.iter().enumerate() {
             match axes.iter().position(|axis| axis.0 == index) {
+                Some(axis) if is_text => position[axis] = values.text_float(&mut is_kept)?,
                 Some(axis) => position[axis] = values.float(axes[axis].1)?,
                 None => values.skip_property(property.kind)?,
             }
@@ -32,7 +35,7 @@ pub(super) fn read(
         if exact_in_f32 {
             feed.vertex32(position.map(|value| value as f32))?;
         } else {
-            feed.vertex64(position)?;
+            feed.vertex_text(position, is_text && is_kept)?;
         }
         feed.progress(values.window.progress())?;
     }

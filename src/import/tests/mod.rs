@@ -1,5 +1,6 @@
 //! Tests of the whole room: what each syntax form gives, what each fault says, and that nothing panics.
 
+mod decimal;
 mod files;
 mod hostile;
 mod mtl;
@@ -13,6 +14,7 @@ mod triangles;
 
 use std::io::Read;
 use std::path::Path;
+use std::sync::{Arc, OnceLock};
 
 use super::{ImportOptions, ImportReport, MeshBuffer, read_obj, read_ply, read_stl};
 use crate::error::ImportError;
@@ -31,14 +33,25 @@ impl Read for Dribble<'_> {
     }
 }
 
+/// Reads on one thread, and with others, which must give the same.
 fn obj(text: impl AsRef<[u8]>) -> Outcome {
-    let mut mesh = MeshBuffer::new();
-    let report = read_obj(
-        Dribble(text.as_ref(), 1000),
-        Path::new("folder/model.obj"),
-        &ImportOptions::default(),
-        &mut mesh,
-    )?;
+    static POOL: OnceLock<Arc<rayon::ThreadPool>> = OnceLock::new();
+    let pool = POOL.get_or_init(|| Arc::new(rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap()));
+    let read = |options: ImportOptions| {
+        let mut mesh = MeshBuffer::new();
+        let reader = Dribble(text.as_ref(), 1000);
+        let report = read_obj(reader, Path::new("folder/model.obj"), &options, &mut mesh);
+        (mesh, report)
+    };
+    let (mesh, report) = read(ImportOptions::default());
+    let (other_mesh, other_report) = read(ImportOptions::default().with_pool(Arc::clone(pool)));
+    assert_eq!(mesh, other_mesh, "with other threads");
+    match (&report, &other_report) {
+        (Ok(report), Ok(other)) => assert_eq!(report, other, "with other threads"),
+        (Err(error), Err(other)) => assert_eq!(error.to_string(), other.to_string(), "with other threads"),
+        outcomes => panic!("with other threads: {outcomes:?}"),
+    }
+    let report = report?;
     check(&mesh, &report);
     Ok((mesh, report))
 }

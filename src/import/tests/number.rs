@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use crate::import::number::{digits, parse, scan};
 
 /// `scan` on a padded copy.
-fn scanned(text: &str) -> Option<(f64, usize)> {
+fn scanned(text: &str) -> Option<(f64, bool, usize)> {
     let mut bytes = text.as_bytes().to_vec();
     bytes.extend_from_slice(&[b'\n'; 32]);
     scan(&bytes, 0)
@@ -14,7 +14,7 @@ fn scanned(text: &str) -> Option<(f64, usize)> {
 #[track_caller]
 fn agrees(text: &str) {
     let expected: f64 = text.parse().unwrap();
-    let (value, length) = scanned(text).unwrap_or_else(|| panic!("{text} is not read"));
+    let (value, _, length) = scanned(text).unwrap_or_else(|| panic!("{text} is not read"));
     assert_eq!(value.to_bits(), expected.to_bits(), "{text}");
     assert_eq!(length, text.len(), "{text}");
     assert_eq!(parse(text.as_bytes()).map(f64::to_bits), Some(expected.to_bits()), "{text}");

@@ -222,3 +222,51 @@ proptest! {
         prop_assert_eq!(found, expected);
     }
 }
+
+/// Lines of every kind, good and bad, whole files of which must not depend on threads.
+fn line() -> impl Strategy<Value = String> {
+    let number = prop_oneof![
+        4 => "-?[0-9]{1,3}\\.[0-9]{1,4}",
+        1 => "-?[0-9]{1,3}\\.[0-9]{7,12}",
+        1 => Just("1e-3".to_string()),
+    ];
+    let vertex = prop::array::uniform3(number).prop_map(|[x, y, z]| format!("v {x} {y} {z}"));
+    let corner = prop_oneof![8 => "[1-4]", 2 => "-[1-3]", 1 => "[1-9]", 1 => "[1-3]/1", 1 => "[1-3]//"];
+    let face = prop::collection::vec(corner, 3..6).prop_map(|corners| format!("f {}", corners.join(" ")));
+    let other = prop::sample::select(vec![
+        "",
+        "# remark",
+        "# goes on? \\",
+        "g a \\",
+        "s 1",
+        "v 1 2 \\\n3",
+        "v 1 2 \\\n\\\n3",
+        "f 1 \\\n2 3",
+        "usemtl red",
+        " v 1 2 3 ",
+        "v\t1 2 3 0.5",
+        "vn 0 0 1",
+        "xyzzy",
+        "f 1 2",
+        "g a\rv 4 5 6",
+        "l 1 2",
+    ]);
+    let bad = prop::sample::select(vec!["v 1 2", "f 0 1 2", "f 1 2 900", "v 1 x 2", "f 1 2 x"]);
+    prop_oneof![200 => vertex, 200 => face, 60 => other.prop_map(str::to_string), 1 => bad.prop_map(str::to_string)]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(500))]
+
+    #[test]
+    fn threads_change_nothing(
+        lines in prop::collection::vec(line(), 1..120), end in prop_oneof![Just("\n"), Just("\r\n"), Just("\r")], last in any::<bool>(),
+    ) {
+        // `obj` reads both ways and compares.
+        let mut text = SQUARE.replace('\n', end) + &lines.join(end);
+        if last {
+            text += end;
+        }
+        let _ = obj(text);
+    }
+}

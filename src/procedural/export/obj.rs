@@ -62,7 +62,9 @@ impl MeshSink for ObjSink {
     fn vertices(&mut self, batch: VertexBatch<'_>) -> Result<(), CompileError> {
         match batch {
             VertexBatch::Float32(batch) => batch.iter().for_each(|v| self.vertex(*v)),
-            VertexBatch::Float64(batch) => batch.iter().for_each(|v| self.vertex(*v)),
+            VertexBatch::Float64(batch) | VertexBatch::Float32Text(batch) => {
+                batch.iter().for_each(|v| self.vertex(*v))
+            }
         }
         self.flush()
     }

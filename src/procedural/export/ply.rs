@@ -100,7 +100,7 @@ impl MeshSink for PlySink {
             VertexBatch::Float32(batch) => {
                 self.bytes.extend(batch.as_flattened().iter().flat_map(|x| x.to_le_bytes()));
             }
-            VertexBatch::Float64(batch) => {
+            VertexBatch::Float64(batch) | VertexBatch::Float32Text(batch) => {
                 self.bytes.extend(batch.as_flattened().iter().flat_map(|x| x.to_le_bytes()));
             }
         }
