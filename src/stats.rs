@@ -22,10 +22,12 @@ pub struct TraceCounters {
     pub bytes_read: u64,
     /// Triangles decoded with them (depends on cache size and thread count).
     pub triangles_decoded: u64,
+    /// Most rays that waited for blocks at one time in one pool (depends on cache size and load order).
+    pub suspended_peak: u64,
 }
 
 impl TraceCounters {
-    /// Adds `other` to every field.
+    /// Adds `other` to every field; of peaks, takes the greater.
     pub fn merge(&mut self, other: &TraceCounters) {
         let TraceCounters {
             rays,
@@ -37,6 +39,7 @@ impl TraceCounters {
             blocks_loaded,
             bytes_read,
             triangles_decoded,
+            suspended_peak,
         } = other;
         self.rays += rays;
         self.box_tests += box_tests;
@@ -47,5 +50,6 @@ impl TraceCounters {
         self.blocks_loaded += blocks_loaded;
         self.bytes_read += bytes_read;
         self.triangles_decoded += triangles_decoded;
+        self.suspended_peak = self.suspended_peak.max(*suspended_peak);
     }
 }

@@ -111,6 +111,10 @@ impl<P: ReplacementPolicy> GeometryCache for FollowingCache<P> {
         self.cache.try_pin(block)
     }
 
+    fn is_resident(&self, block: BlockId) -> bool {
+        self.cache.is_resident(block)
+    }
+
     fn slot_count(&self) -> u32 {
         self.cache.slot_count()
     }

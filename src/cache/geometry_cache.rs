@@ -35,6 +35,12 @@ pub trait GeometryCache: Send + Sync {
     /// If `block` is not below the number of blocks that the cache was made for.
     fn try_pin(&self, block: BlockId) -> Option<Pin<'_>>;
 
+    /// Whether `block` is resident; out of date as soon as it is said. Not a use of the block.
+    ///
+    /// # Panics
+    /// If `block` is not below the number of blocks that the cache was made for.
+    fn is_resident(&self, block: BlockId) -> bool;
+
     /// How many slots there are.
     fn slot_count(&self) -> u32;
 

@@ -111,6 +111,10 @@ impl<P: ReplacementPolicy> GeometryCache for SlotCache<P> {
         self.table.try_pin(block)
     }
 
+    fn is_resident(&self, block: BlockId) -> bool {
+        self.table.is_resident(block)
+    }
+
     fn slot_count(&self) -> u32 {
         self.table.slot_count()
     }

@@ -101,6 +101,11 @@ impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
         Some(pin)
     }
 
+    /// See [`GeometryCache::is_resident`](super::GeometryCache::is_resident).
+    pub(super) fn is_resident(&self, block: BlockId) -> bool {
+        self.arena.peek(block).phase() == Phase::Ready
+    }
+
     /// See [`GeometryCache::pin`](super::GeometryCache::pin).
     pub(super) fn pin(
         &self,

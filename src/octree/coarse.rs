@@ -17,6 +17,8 @@ pub(crate) struct CoarseTree {
     pub nodes: Vec<Node>,
     /// By block: lets a ray pass a block by without loading it.
     pub sub_boxes: Vec<PackedBoxes>,
+    /// By block, then by node: the node that it is a child of. The root is its own.
+    parents: Vec<u32>,
     _reservation: Reservation,
 }
 
@@ -51,7 +53,8 @@ impl CoarseTree {
         nodes.truncate(node_count);
         nodes.shrink_to_fit();
         drop((scratch, working));
-        let bytes = (node_count * size_of::<Node>()) as u64 + sub_box_bytes;
+        let parent_bytes = ((node_count + block_count) * size_of::<u32>()) as u64;
+        let bytes = (node_count * size_of::<Node>()) as u64 + sub_box_bytes + parent_bytes;
         let reservation = budget.reserve(Bytes(bytes), "the coarse tree")?;
         let sub_boxes = model
             .blocks
@@ -61,8 +64,41 @@ impl CoarseTree {
                 PackedBoxes::new(low, high, &entry.sub_boxes)
             })
             .collect();
-        Ok(CoarseTree { frame, nodes, sub_boxes, _reservation: reservation })
+        let parents = parents(&nodes, block_count);
+        Ok(CoarseTree { frame, nodes, sub_boxes, parents, _reservation: reservation })
     }
+
+    /// The node that `child` is a child of; `None` for the root.
+    #[inline(always)]
+    pub fn parent(&self, child: Child) -> Option<Child> {
+        if child == Child::COARSE_ROOT {
+            return None;
+        }
+        let place = if child.is_leaf() {
+            child.block_index() as usize
+        } else {
+            self.sub_boxes.len() + child.node_index()
+        };
+        Some(Child::node(self.parents[place]))
+    }
+}
+
+fn parents(nodes: &[Node], block_count: usize) -> Vec<u32> {
+    let mut parents = vec![0; block_count + nodes.len()];
+    for (index, node) in nodes.iter().enumerate() {
+        for (lane, child) in node.children.iter().enumerate() {
+            // Lanes that hold nothing name the root or the first block.
+            if node.bounds[0][lane] <= node.bounds[3][lane] {
+                let place = if child.is_leaf() {
+                    child.block_index() as usize
+                } else {
+                    block_count + child.node_index()
+                };
+                parents[place] = index as u32;
+            }
+        }
+    }
+    parents
 }
 
 struct Build<'a> {

@@ -16,8 +16,9 @@ pub use lazy::LazyOctree;
 pub use options::{LeafLayout, OctreeOptions, Tier};
 
 pub(crate) use build::BuildScratch;
+pub(crate) use coarse::CoarseTree;
 pub(crate) use fill::build;
 pub(crate) use fine::{Fine, TriangleLocation};
 pub(crate) use frame::{LocalRay, QueryRay, prepare, splat_interval};
 pub(crate) use lazy::{TracerPermit, tracer_bytes};
-pub(crate) use node::{Child, STACK_MAX};
+pub(crate) use node::{Child, LEVELS_MAX, STACK_MAX};

@@ -7,7 +7,10 @@ pub(super) const PLANE_DEPTH_MAX: u32 = 24;
 
 /// Room for a traversal of both levels: each level of a tree leaves at most seven children waiting. Splitting by order
 /// ends within 11 levels for 2^31 primitives.
-pub(crate) const STACK_MAX: usize = 2 * (7 * (PLANE_DEPTH_MAX as usize + 12) + 2);
+pub(crate) const STACK_MAX: usize = 2 * (7 * LEVELS_MAX + 2);
+
+/// Most levels of one tree, leaves included.
+pub(crate) const LEVELS_MAX: usize = PLANE_DEPTH_MAX as usize + 12;
 
 /// Eight children with tight boxes, in 256 bytes.
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]

@@ -27,7 +27,47 @@ struct Any<'a, S: Simd, P: Policy> {
     filtered: bool,
 }
 
-/// Whether the ray is blocked.
+/// What an any-hit query that stopped has still to look at. No order is needed: any hit will do.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unvisited {
+    /// The first `count` are blocks that the ray meets and that were missing.
+    blocks: [BlockId; UNVISITED_MAX],
+    count: u32,
+    /// Where the coarse traversal stopped because there was no room for one more.
+    stopped_at: Option<BlockId>,
+    /// An ignored material was hit.
+    filtered: bool,
+}
+
+/// As many as make it as large as what a closest-hit query keeps.
+const UNVISITED_MAX: usize = 28;
+
+impl Unvisited {
+    /// Of a query that has not begun.
+    pub const UNSET: Unvisited =
+        Unvisited { blocks: [BlockId(0); _], count: 0, stopped_at: None, filtered: false };
+
+    /// The missing blocks.
+    pub fn blocks(&self) -> &[BlockId] {
+        &self.blocks[..self.count as usize]
+    }
+
+    /// Whether there was room.
+    #[inline(always)]
+    fn push(&mut self, block: BlockId) -> bool {
+        match self.blocks.get_mut(self.count as usize) {
+            Some(place) => {
+                *place = block;
+                self.count += 1;
+                true
+            }
+            None => false,
+        }
+    }
+}
+
+/// Whether the ray is blocked; `None` if the pins are not to load and blocks were missing, which are then in
+/// `unvisited`. To go on, call it again with that and `is_resumed`.
 #[inline(always)]
 pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
     simd: S,
@@ -35,7 +75,9 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
     (query, local): (&mut QueryRay, &mut LocalRay<S>),
     ray: &Ray,
     ignore: Option<&MaterialSet>,
-) -> Result<Occlusion, RayError> {
+    unvisited: &mut Unvisited,
+    is_resumed: bool,
+) -> Result<Option<Occlusion>, RayError> {
     let coarse = &work.octree.coarse;
     if let Some(reason) = prepare(simd, ray, &work.octree.space, query, local) {
         return Err(RayError::Invalid(reason));
@@ -50,11 +92,22 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
         query,
         ray,
         ignore,
-        filtered: false,
+        filtered: is_resumed && unvisited.filtered,
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
+    // The blocks of the list come first, as leaves of a tree of their own, then the coarse tree's.
+    let mut listed = 0;
     let mut child = Child::COARSE_ROOT;
+    if is_resumed {
+        (listed, unvisited.count) = (unvisited.count, 0);
+        if listed > 0 {
+            child = Child::block(unvisited.blocks[0].0);
+        }
+    } else {
+        (unvisited.count, unvisited.stopped_at) = (0, None);
+    }
+    let mut next_listed = 1;
     loop {
         work.counters.box_tests += 1;
         if child.is_leaf() {
@@ -62,20 +115,30 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
             let sub_boxes = &coarse.sub_boxes[block as usize];
             let (_, hits) = any.local.boxes.test_packed(simd, sub_boxes, any.outer.low, any.outer.high);
             if hits != 0 {
-                work.counters.block_visits += 1;
-                let slot = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?;
-                let visit = VisitBlock::<S, P, EXPANDED> {
-                    any: &mut any,
-                    slot,
-                    hits,
-                    stack: stack.above(),
-                    exact: work.exact,
-                    counters: work.counters,
-                };
-                if simd.enter(visit) {
-                    return Ok(Occlusion::Blocked);
+                match work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)? {
+                    Some(slot) => {
+                        work.counters.block_visits += 1;
+                        let visit = VisitBlock::<S, P, EXPANDED> {
+                            any: &mut any,
+                            slot,
+                            hits,
+                            stack: stack.above(),
+                            exact: work.exact,
+                            counters: work.counters,
+                        };
+                        if simd.enter(visit) {
+                            return Ok(Some(Occlusion::Blocked));
+                        }
+                        any.local.enter_frame(simd, any.query, &coarse.frame);
+                    }
+                    None => {
+                        work.counters.box_tests -= 1;
+                        if !unvisited.push(BlockId(block)) {
+                            unvisited.stopped_at = Some(BlockId(block));
+                            break;
+                        }
+                    }
                 }
-                any.local.enter_frame(simd, any.query, &coarse.frame);
             }
         } else {
             let node = &coarse.nodes[child.node_index()];
@@ -86,12 +149,32 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
                 continue;
             }
         }
+        if next_listed < listed {
+            // What is kept goes to places that were read already.
+            child = Child::block(unvisited.blocks[next_listed as usize].0);
+            next_listed += 1;
+            continue;
+        }
+        if listed > 0 {
+            listed = 0;
+            match unvisited.stopped_at.take() {
+                Some(block) => {
+                    child = stack.return_to(simd, coarse, block, &any.local.boxes, &any.outer);
+                    continue;
+                }
+                None => break,
+            }
+        }
         child = stack.pop(f32::INFINITY);
         if child == Child::NONE {
             break;
         }
     }
-    Ok(if any.filtered { Occlusion::Filtered } else { Occlusion::Clear })
+    if unvisited.count > 0 {
+        unvisited.filtered = any.filtered;
+        return Ok(None);
+    }
+    Ok(Some(if any.filtered { Occlusion::Filtered } else { Occlusion::Clear }))
 }
 
 /// The traversal of one block; gives whether a triangle of it blocks the ray. A function of its own, so that the registers

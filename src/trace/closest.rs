@@ -40,7 +40,9 @@ struct Closest<'r, S: Simd, P: Policy> {
     best: &'r mut Option<Hit>,
 }
 
-/// Puts the least hit by (t, id) among those strictly greater than `after` into `best` (I3).
+/// Puts the least hit by (t, id) among those strictly greater than `after` into `best` (I3), which holds `None` at first.
+/// Returns the block at which it stopped, if the pins are not to load and one was missing; to go on, call it again with
+/// that block as `from` and `best` as it was left.
 #[inline(always)]
 pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
     simd: S,
@@ -48,9 +50,9 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
     (query, local): (&mut QueryRay, &mut LocalRay<S>),
     ray: &Ray,
     after: Option<(f64, TriangleId)>,
+    from: Option<BlockId>,
     best: &mut Option<Hit>,
-) -> Result<(), RayError> {
-    *best = None;
+) -> Result<Option<BlockId>, RayError> {
     let coarse = &work.octree.coarse;
     if let Some(reason) = prepare(simd, ray, &work.octree.space, query, local) {
         return Err(RayError::Invalid(reason));
@@ -61,9 +63,11 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
         _ => ray.t_min,
     };
     if t_min > ray.t_max {
-        return Ok(());
+        return Ok(None);
     }
-    let high = query.local_high(ray.t_max);
+    // As `offer` left them.
+    let t_max = best.as_ref().map_or(ray.t_max, |hit| if hit.t < f64::MAX { hit.t } else { ray.t_max });
+    let high = query.local_high(best.as_ref().map_or(ray.t_max, |hit| hit.t));
     let mut closest: Closest<'_, S, P> = Closest {
         prepared: P::prepare(simd, &local.triangles),
         local,
@@ -72,13 +76,16 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
         query,
         ray,
         t_min,
-        t_max: ray.t_max,
+        t_max,
         after,
         best,
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
-    let mut child = Child::COARSE_ROOT;
+    let mut child = match from {
+        None => Child::COARSE_ROOT,
+        Some(block) => stack.return_to(simd, coarse, block, &closest.local.boxes, &closest.interval),
+    };
     loop {
         work.counters.box_tests += 1;
         let Closest { local, interval, .. } = &closest;
@@ -87,8 +94,13 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
             let sub_boxes = &coarse.sub_boxes[block as usize];
             let (near, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
+                let Some(slot) = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?
+                else {
+                    // This test is made again.
+                    work.counters.box_tests -= 1;
+                    return Ok(Some(BlockId(block)));
+                };
                 work.counters.block_visits += 1;
-                let slot = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?;
                 let visit = VisitBlock::<S, P, EXPANDED> {
                     closest: &mut closest,
                     slot,
@@ -111,7 +123,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
         }
         child = stack.pop(closest.high);
         if child == Child::NONE {
-            return Ok(());
+            return Ok(None);
         }
     }
 }

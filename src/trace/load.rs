@@ -15,7 +15,12 @@ pub(super) struct LoadScratch {
     decode: DecodeScratch,
     data: BlockData,
     build: BuildScratch,
+    /// Blocks that were filled since the list was last emptied; what finds no room is left out.
+    filled: Vec<BlockId>,
 }
+
+/// How many blocks the list of those filled holds.
+const FILLED_MAX: usize = 64;
 
 impl LoadScratch {
     pub fn new(source: &dyn BlockSource) -> LoadScratch {
@@ -25,7 +30,13 @@ impl LoadScratch {
             decode: DecodeScratch::with_limits(limits),
             data: BlockData::with_limits(limits),
             build: BuildScratch::new(limits.triangle_count_max(), limits.vertex_count_max()),
+            filled: Vec::with_capacity(FILLED_MAX),
         }
+    }
+
+    /// Blocks that were filled since the last call, as far as they were noted.
+    pub fn take_filled(&mut self) -> impl Iterator<Item = BlockId> + '_ {
+        self.filled.drain(..)
     }
 
     /// Fills a slot with the tree of `block`.
@@ -41,6 +52,9 @@ impl LoadScratch {
         let entry = &octree.model.blocks[block.0 as usize];
         build(octree.level, entry, &self.data, octree.layout, slot, &mut self.build);
         octree.touched.insert(block);
+        if self.filled.len() < FILLED_MAX {
+            self.filled.push(block);
+        }
         counters.blocks_loaded += 1;
         counters.bytes_read += self.stored.len() as u64;
         counters.triangles_decoded += self.data.triangles.len() as u64;
@@ -54,6 +68,8 @@ pub(super) struct Pins<'o> {
     mask: u32,
     /// Where accesses are written down, if anywhere.
     log: Option<Box<AccessLog>>,
+    /// Whether missing blocks are loaded, by this thread, which waits for them.
+    pub loads: bool,
 }
 
 impl<'o> Pins<'o> {
@@ -61,7 +77,7 @@ impl<'o> Pins<'o> {
         let log = octree.accesses.as_ref().map(|recorder| Box::new(recorder.log()));
         // What a recording tracer has pinned would not be written down.
         let count = if log.is_some() { 1 } else { octree.pins_per_tracer() };
-        Pins { places: (0..count).map(|_| None).collect(), mask: count - 1, log }
+        Pins { places: (0..count).map(|_| None).collect(), mask: count - 1, log, loads: true }
     }
 
     /// To be called before each query: the log, if there is one, tells queries apart.
@@ -84,7 +100,7 @@ impl<'o> Pins<'o> {
         self.places.fill_with(|| None);
     }
 
-    /// The slot of `block`, loaded if it is not resident.
+    /// The slot of `block`. If it is not resident: loaded, or `None` if the pins are not to load.
     #[inline(always)]
     pub fn get(
         &mut self,
@@ -92,20 +108,24 @@ impl<'o> Pins<'o> {
         block: BlockId,
         scratch: &mut LoadScratch,
         counters: &mut TraceCounters,
-    ) -> Result<&[u8], LoadError> {
+    ) -> Result<Option<&[u8]>, LoadError> {
         let place = &mut self.places[(block.0 & self.mask) as usize];
         if place.as_ref().is_none_or(|pin| pin.block() != block) {
-            // The old pin goes first: with one slot for each tracer there is none to spare.
-            *place = None;
+            if !self.loads {
+                match octree.cache.try_pin(block) {
+                    Some(pin) => *place = Some(pin),
+                    None => return Ok(None),
+                }
+            } else {
+                // The old pin goes first: with one slot for each tracer there is none to spare.
+                *place = None;
+                *place = Some(pin(octree, block, scratch, counters)?);
+            }
             if let Some(log) = &mut self.log {
                 log.enter(block);
             }
-            *place = Some(pin(octree, block, scratch, counters)?);
         }
-        match place {
-            Some(pin) => Ok(pin),
-            None => unreachable!("set above"),
-        }
+        Ok(place.as_deref())
     }
 }
 

@@ -1,7 +1,8 @@
 //! The traversal stack of both levels.
 
-use crate::octree::{Child, STACK_MAX};
-use crate::simd::{LANES, Simd};
+use crate::octree::{Child, CoarseTree, LEVELS_MAX, STACK_MAX};
+use crate::simd::{BoxRay, Interval, LANES, Simd};
+use crate::units::BlockId;
 
 /// A child that waits, with where the ray enters its box: the bits of that number above the child's. Parameters are not
 /// negative, so that entries compare like them, and a comparison of two entries is one of integers.
@@ -112,6 +113,68 @@ impl<'e> Stack<'e> {
             self.entries[place] = next;
         }
         nearest.child()
+    }
+
+    /// Makes the stack what it was when a traversal in sorted order popped the leaf of `block`, except for what the end
+    /// of `interval` has pruned since; returns that leaf. A traversal that stopped there goes on without looking at
+    /// anything twice, and nothing had to be kept for it.
+    ///
+    /// A shorter interval only takes the last children from a node's order, and no child is nearer than its node; so every
+    /// node on the way to a leaf that was not pruned still meets the ray.
+    #[inline(always)]
+    pub fn return_to<S: Simd>(
+        &mut self,
+        simd: S,
+        coarse: &CoarseTree,
+        block: BlockId,
+        boxes: &BoxRay<S>,
+        interval: &Interval<S::F>,
+    ) -> Child {
+        let leaf = Child::block(block.0);
+        let mut way = [leaf; LEVELS_MAX + 1];
+        let mut depth = 0;
+        while let Some(parent) = coarse.parent(way[depth]) {
+            depth += 1;
+            way[depth] = parent;
+        }
+        for level in (1..=depth).rev() {
+            let node = &coarse.nodes[way[level].node_index()];
+            let (near, hits) = boxes.test(simd, &node.bounds, interval.low, interval.high);
+            self.push_sorted_behind(simd, &node.children, near, hits, way[level - 1]);
+        }
+        leaf
+    }
+
+    /// Pushes those of the children in `hits` that come after `child` in sorted order, nearest last.
+    #[inline(always)]
+    fn push_sorted_behind<S: Simd>(
+        &mut self,
+        simd: S,
+        children: &[Child; LANES],
+        near: S::F,
+        hits: u32,
+        child: Child,
+    ) {
+        let near = simd.to_array(near);
+        let lane = children.iter().position(|other| *other == child).unwrap_or(0);
+        debug_assert!(children[lane] == child && hits >> lane & 1 == 1);
+        let passed = Entry::new(near[lane], child);
+        let base = self.len;
+        let mut hits = hits;
+        while hits != 0 {
+            let new = entry(children, &near, hits);
+            hits &= hits - 1;
+            if new <= passed {
+                continue;
+            }
+            let mut place = self.len;
+            self.push(new);
+            while place > base && self.entries[place - 1] < new {
+                self.entries[place] = self.entries[place - 1];
+                place -= 1;
+            }
+            self.entries[place] = new;
+        }
     }
 
     /// Returns one child of those in `hits` (one at least) and pushes the others, in no particular order.

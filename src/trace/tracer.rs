@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 
-use super::any::occlusion;
+use super::any::{Unvisited, occlusion};
 use super::closest::{Work, closest_hit};
 use super::exact::ExactRay;
 use super::load::{LoadScratch, Pins};
@@ -23,12 +23,12 @@ use crate::units::TriangleId;
 /// It keeps the blocks that it entered last pinned, so that entering them again is cheap; see
 /// [`Tracer::release_pins`].
 pub struct Tracer<'o> {
-    octree: &'o LazyOctree,
-    pins: Pins<'o>,
-    scratch: LoadScratch,
+    pub(super) octree: &'o LazyOctree,
+    pub(super) pins: Pins<'o>,
+    pub(super) scratch: LoadScratch,
     stack: Box<Entries>,
     exact: ExactRay,
-    counters: TraceCounters,
+    pub(super) counters: TraceCounters,
     _reservation: Reservation,
     _permit: TracerPermit<'o>,
 }
@@ -132,7 +132,7 @@ impl<'o> Tracer<'o> {
     }
 
     #[inline(always)]
-    fn work(&mut self) -> Work<'_, 'o> {
+    pub(super) fn work(&mut self) -> Work<'_, 'o> {
         Work {
             octree: self.octree,
             pins: &mut self.pins,
@@ -170,7 +170,9 @@ impl Query for ClosestHits<'_, '_> {
             work.counters.rays += 1;
             work.pins.begin_query(QueryKind::Closest);
             let after = self.after.get(index).copied();
-            closest_hit::<S, P, EXPANDED>(simd, &mut work, (&mut query, &mut local), ray, after, hit)
+            *hit = None;
+            let prepared = (&mut query, &mut local);
+            closest_hit::<S, P, EXPANDED>(simd, &mut work, prepared, ray, after, None, hit)
                 .map_err(|error| error.at(index))?;
         }
         Ok(())
@@ -198,19 +200,24 @@ impl Query for Occlusions<'_, '_> {
     fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        let mut unvisited = Unvisited::UNSET;
         for (index, (ray, out)) in self.rays.iter().zip(self.out).enumerate() {
             work.counters.rays += 1;
             work.pins.begin_query(QueryKind::Occlusion);
             let prepared = (&mut query, &mut local);
-            *out = occlusion::<S, P, EXPANDED>(simd, &mut work, prepared, ray, self.ignore)
-                .map_err(|error| error.at(index))?;
+            let rest = &mut unvisited;
+            let answer =
+                occlusion::<S, P, EXPANDED>(simd, &mut work, prepared, ray, self.ignore, rest, false)
+                    .map_err(|error| error.at(index))?;
+            // The pins load, so that there is always an answer.
+            *out = answer.unwrap_or_default();
         }
         Ok(())
     }
 }
 
 /// A query over a slice of rays, generic over what an octree was opened with.
-trait Query: Sized {
+pub(super) trait Query: Sized {
     fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError>;
 }
 
@@ -228,7 +235,7 @@ impl<S: Simd, Q: Query, P: Policy, const EXPANDED: bool> Operation<S> for Each<Q
 
 /// Runs `query` with the policy and the layout of `octree`: decided once per call.
 #[inline(always)]
-fn enter<S: Simd, Q: Query>(simd: S, octree: &LazyOctree, query: Q) -> Result<(), TraceError> {
+pub(super) fn enter<S: Simd, Q: Query>(simd: S, octree: &LazyOctree, query: Q) -> Result<(), TraceError> {
     match octree.tier {
         Tier::Fast => with_policy::<S, Q, Fast>(simd, octree, query),
         Tier::Watertight => with_policy::<S, Q, Watertight>(simd, octree, query),

@@ -1,0 +1,198 @@
+//! A picture's rays, depth first through a tracer or through a pool.
+
+use outcrop::LazyOctree;
+use outcrop::stats::TraceCounters;
+use outcrop::trace::{Answers, AnyRequest, ClosestRequest, Hit, Occlusion, OnMissing, PoolOptions, RayPool};
+
+use crate::mixes::{LAMPS, Mix, camera_ray, mix, shadow_ray};
+
+/// How rays are run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Each pixel's rays one after the other; a missing block is loaded at once.
+    DepthFirst,
+    /// Through a pool.
+    Pool {
+        /// See `PoolOptions::suspended`.
+        suspended: u32,
+        /// Of a ray that spawns others; shadow rays have 1.
+        weight: u32,
+        /// Whether camera rays load what they miss.
+        camera_loads: bool,
+        /// Whether the shadow rays of camera rays do.
+        shadows_load: bool,
+    },
+}
+
+/// What a run did; the sum is over all answers, in no order.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    pub sum: u64,
+    pub counters: TraceCounters,
+}
+
+/// The pixel at a place of the Z curve through a square picture.
+fn pixel(index: u32) -> (u32, u32) {
+    let every_other_bit = |mut bits: u32| {
+        bits &= 0x5555_5555;
+        for (shift, mask) in [(1, 0x3333_3333), (2, 0x0f0f_0f0f), (4, 0x00ff_00ff), (8, 0xffff)] {
+            bits = (bits | bits >> shift) & mask;
+        }
+        bits
+    };
+    (every_other_bit(index), every_other_bit(index >> 1))
+}
+
+/// A tag: pixel, depth, and 7 for the path's own ray or the lamp.
+fn tag(index: u32, depth: u32, what: u32) -> u64 {
+    u64::from(index) << 8 | u64::from(depth << 3 | what)
+}
+
+fn hit_sum(tag: u64, hit: &Option<Hit>) -> u64 {
+    mix(tag ^ hit.as_ref().map_or(!0, |hit| hit.triangle.0 << 20 ^ hit.t.to_bits()))
+}
+
+fn occlusion_sum(tag: u64, occlusion: Occlusion) -> u64 {
+    mix(tag ^ (occlusion as u64) << 60)
+}
+
+/// Traces a picture of `side` x `side` pixels, a power of two.
+pub fn run(octree: &LazyOctree, mix: Mix, side: u32, order: Order) -> Run {
+    match order {
+        Order::DepthFirst => depth_first(octree, mix, side),
+        Order::Pool { suspended, weight, camera_loads, shadows_load } => {
+            let options = PoolOptions { suspended, ignore: None };
+            let pool = octree.ray_pool(options).expect("the budget is ample");
+            let path = OnMissing::Wait { weight };
+            let shadow = OnMissing::Wait { weight: 1 };
+            let on_missing = OnMissingBy {
+                camera: if camera_loads { OnMissing::Load } else { path },
+                path,
+                first_shadow: if shadows_load { OnMissing::Load } else { shadow },
+                shadow,
+            };
+            Driver::new(pool, mix, side, on_missing).run()
+        }
+    }
+}
+
+fn depth_first(octree: &LazyOctree, mix: Mix, side: u32) -> Run {
+    let mut tracer = octree.tracer().expect("the budget is ample");
+    let mut sum = 0u64;
+    let mut occlusions = [Occlusion::Clear; LAMPS.len()];
+    for index in 0..side * side {
+        let (x, y) = pixel(index);
+        let (mut ray, mut depth) = (camera_ray(x, y, side), 0);
+        loop {
+            let hit = tracer.closest_hit(&ray).expect("the model is sound");
+            sum = sum.wrapping_add(hit_sum(tag(index, depth, 7), &hit));
+            let Some(hit) = hit else { break };
+            let shadows = LAMPS.map(|lamp| shadow_ray(&hit, lamp, 0).ray);
+            tracer.occluded(&shadows, None, &mut occlusions).expect("the model is sound");
+            for (lamp, occlusion) in (0..).zip(occlusions) {
+                sum = sum.wrapping_add(occlusion_sum(tag(index, depth, lamp), occlusion));
+            }
+            let Some(next) = mix.onward(&hit, ray.direction, index, depth) else { break };
+            (ray, depth) = (next, depth + 1);
+        }
+    }
+    Run { sum, counters: tracer.counters() }
+}
+
+/// Pixels started together.
+const BATCH: u32 = 256;
+
+/// What rays do about missing blocks.
+struct OnMissingBy {
+    camera: OnMissing,
+    path: OnMissing,
+    first_shadow: OnMissing,
+    shadow: OnMissing,
+}
+
+struct Driver<'o> {
+    pool: RayPool<'o>,
+    mix: Mix,
+    side: u32,
+    on_missing: OnMissingBy,
+    answers: Answers,
+    /// Direction of each path's ray, which the pool does not give back.
+    directions: Vec<[f64; 3]>,
+    onward: Vec<ClosestRequest>,
+    /// Shadow rays of camera rays, and of others.
+    shadows: [Vec<AnyRequest>; 2],
+    sum: u64,
+}
+
+impl<'o> Driver<'o> {
+    fn new(pool: RayPool<'o>, mix: Mix, side: u32, on_missing: OnMissingBy) -> Driver<'o> {
+        Driver {
+            pool,
+            mix,
+            side,
+            on_missing,
+            answers: Answers::with_capacity(LAMPS.len() * RayPool::RESUMED_MAX),
+            directions: vec![[0.0; 3]; (side * side) as usize],
+            onward: Vec::new(),
+            shadows: [Vec::new(), Vec::new()],
+            sum: 0,
+        }
+    }
+
+    fn run(mut self) -> Run {
+        let mut next = 0;
+        let sound = "the model is sound";
+        loop {
+            if next < self.side * self.side && self.pool.wants_rays() {
+                let end = (next + BATCH).min(self.side * self.side);
+                for index in next..end {
+                    let (x, y) = pixel(index);
+                    let ray = camera_ray(x, y, self.side);
+                    self.directions[index as usize] = ray.direction;
+                    self.onward.push(ClosestRequest { ray, after: None, tag: tag(index, 0, 7) });
+                }
+                next = end;
+                self.pool.closest_hits(&self.onward, self.on_missing.camera, &mut self.answers).expect(sound);
+                self.onward.clear();
+            } else if !self.pool.resume(&mut self.answers).expect(sound) && next == self.side * self.side {
+                return Run { sum: self.sum, counters: self.pool.counters() };
+            }
+            while !self.answers.hits.is_empty() || !self.answers.occlusions.is_empty() {
+                self.shade();
+                let on_missing = [self.on_missing.first_shadow, self.on_missing.shadow];
+                for (shadows, on_missing) in self.shadows.iter_mut().zip(on_missing) {
+                    self.pool.occluded(shadows, on_missing, &mut self.answers).expect(sound);
+                    shadows.clear();
+                }
+                self.pool.closest_hits(&self.onward, self.on_missing.path, &mut self.answers).expect(sound);
+                self.onward.clear();
+            }
+        }
+    }
+
+    /// Sums up the answers and lists the rays that they lead to: shadow rays lamp by lamp.
+    fn shade(&mut self) {
+        for (tag, occlusion) in self.answers.occlusions.drain(..) {
+            self.sum = self.sum.wrapping_add(occlusion_sum(tag, occlusion));
+        }
+        for (lamp, position) in (0..).zip(LAMPS) {
+            for (hit_tag, hit) in &self.answers.hits {
+                let (index, depth) = ((hit_tag >> 8) as u32, (*hit_tag as u32 & 0xff) >> 3);
+                if let Some(hit) = hit {
+                    let list = &mut self.shadows[usize::from(depth > 0)];
+                    list.push(shadow_ray(hit, position, tag(index, depth, lamp)));
+                }
+            }
+        }
+        for (hit_tag, hit) in self.answers.hits.drain(..) {
+            self.sum = self.sum.wrapping_add(hit_sum(hit_tag, &hit));
+            let (index, depth) = ((hit_tag >> 8) as u32, (hit_tag as u32 & 0xff) >> 3);
+            let direction = &mut self.directions[index as usize];
+            let Some(ray) = hit.and_then(|hit| self.mix.onward(&hit, *direction, index, depth)) else {
+                continue;
+            };
+            *direction = ray.direction;
+            self.onward.push(ClosestRequest { ray, after: None, tag: tag(index, depth + 1, 7) });
+        }
+    }
+}

@@ -1,0 +1,391 @@
+//! [`RayPool`]: queries that do not wait for blocks while other rays can run.
+
+use super::any::{Unvisited, occlusion};
+use super::closest::closest_hit;
+use super::policy::Policy;
+use super::suspended::{Query, SuspendedRays};
+use super::tracer::{Query as Kernel, enter};
+use super::{Answers, AnyRequest, ClosestRequest, MaterialSet, OnMissing, Tracer};
+use crate::access::QueryKind;
+use crate::budget::Reservation;
+use crate::error::TraceError;
+use crate::octree::{LazyOctree, LocalRay, QueryRay};
+use crate::simd::{AnyOperation, Simd, dispatch};
+use crate::stats::TraceCounters;
+use crate::units::{BlockId, Bytes};
+
+/// How a pool is made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PoolOptions {
+    /// How many rays should wait before it pays to load for them; see [`RayPool::wants_rays`]. More rays share a load the
+    /// more wait, so larger pictures and smaller caches want larger pools; each takes about 300 bytes. With 0, none waits.
+    pub suspended: u32,
+    /// Materials that any-hit queries ignore.
+    pub ignore: Option<MaterialSet>,
+}
+
+impl Default for PoolOptions {
+    fn default() -> PoolOptions {
+        PoolOptions { suspended: 1 << 14, ignore: None }
+    }
+}
+
+impl PoolOptions {
+    /// Places for rays: some more than wait before a load, because the rays that a load sets free have children.
+    fn capacity(&self) -> u32 {
+        if self.suspended == 0 {
+            0
+        } else {
+            self.suspended.saturating_add(self.suspended / 4).saturating_add(1)
+        }
+    }
+}
+
+/// Answers queries on one thread, in whatever order costs the fewest block loads.
+///
+/// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded; the block for
+/// which the most waits is loaded first, and everything that waits for it runs. There are no rounds: rays may be added
+/// at any time, and so can those that answers lead to.
+///
+/// Answers are those of a [`Tracer`], whatever the pool's size and order (I2). When the pool is full, rays load what
+/// they need, depth first: nothing fails and nothing grows.
+///
+/// ```
+/// # use std::sync::Arc;
+/// # use outcrop::block::{BlockLimits, Codec};
+/// # use outcrop::geom::{Precision, Ray};
+/// # use outcrop::octree::OctreeOptions;
+/// # use outcrop::source::{MemorySource, testing::memory_model};
+/// # use outcrop::units::Bytes;
+/// # use outcrop::{LazyOctree, MemoryBudget};
+/// use outcrop::trace::{Answers, ClosestRequest, OnMissing, PoolOptions};
+/// # let triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+/// # let limits = BlockLimits { block_bytes_max: 4096 };
+/// # let bytes = memory_model(&[triangle], limits, Codec::Raw, Precision::Float32)?;
+/// # let source = Arc::new(MemorySource::new(bytes)?);
+/// # let budget = MemoryBudget::new(Bytes::mib(64));
+/// # let octree = LazyOctree::open(source, &budget, OctreeOptions::default())?;
+/// let mut pool = octree.ray_pool(PoolOptions::default())?;
+/// let mut answers = Answers::with_capacity(2);
+/// let down = |x, tag| {
+///     ClosestRequest { ray: Ray::new([x, 0.1, 5.0], [0.0, 0.0, -1.0]), after: None, tag }
+/// };
+/// pool.closest_hits(&[down(0.1, 7), down(9.0, 8)], OnMissing::Wait { weight: 1 }, &mut answers)?;
+/// // More rays could be added here, and after each resumption.
+/// while pool.resume(&mut answers)? {}
+/// answers.hits.sort_by_key(|(tag, _)| *tag);
+/// assert_eq!(answers.hits[0].1.map(|hit| hit.t), Some(5.0));
+/// assert_eq!(answers.hits[1], (8, None));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct RayPool<'o> {
+    tracer: Tracer<'o>,
+    suspended: SuspendedRays,
+    wanted: u32,
+    ignore: Option<MaterialSet>,
+    /// Blocks that rays wait for and that were loaded for others.
+    loaded: Vec<BlockId>,
+    /// The block whose rays did not all run in one resumption.
+    current: Option<BlockId>,
+    _reservation: Reservation,
+}
+
+/// How many blocks loaded for others are remembered.
+const LOADED_MAX: usize = 256;
+
+impl LazyOctree {
+    /// A pool of rays for the calling thread, or for one that it is sent to. Counts as a tracer.
+    ///
+    /// # Errors
+    /// [`TraceError::Budget`] if the budget has no room for it ([`RayPool::bytes_needed`] and a tracer's scratch), or
+    /// `tracers_max` tracers live already.
+    pub fn ray_pool(&self, options: PoolOptions) -> Result<RayPool<'_>, TraceError> {
+        let tracer = self.tracer()?;
+        let block_count = self.model().blocks.len();
+        let bytes = RayPool::bytes_needed(&options, block_count);
+        let reservation = self.budget.reserve(bytes, "a pool of suspended rays")?;
+        Ok(RayPool {
+            tracer,
+            suspended: SuspendedRays::new(options.capacity(), block_count),
+            wanted: options.suspended,
+            ignore: options.ignore.filter(|set| !set.is_empty()),
+            loaded: Vec::with_capacity(LOADED_MAX),
+            current: None,
+            _reservation: reservation,
+        })
+    }
+}
+
+impl<'o> RayPool<'o> {
+    /// Most rays that one call of [`RayPool::resume`] answers.
+    pub const RESUMED_MAX: usize = 1024;
+
+    /// What [`LazyOctree::ray_pool`] takes from the budget for a model of `block_count` blocks, without the tracer's
+    /// scratch.
+    pub fn bytes_needed(options: &PoolOptions, block_count: usize) -> Bytes {
+        let suspended = SuspendedRays::bytes_needed(options.capacity(), block_count);
+        Bytes(suspended.0 + (LOADED_MAX * size_of::<BlockId>()) as u64)
+    }
+
+    /// Finds for each ray the hit with the least (t, triangle id). Appends to `answers` what is known at the end of the
+    /// call; the other answers come from [`RayPool::resume`].
+    ///
+    /// # Errors
+    /// [`TraceError::InvalidRay`], or [`TraceError::Load`] if a block that a ray reached cannot be brought in. The pool is
+    /// not to be used for answers after that.
+    pub fn closest_hits(
+        &mut self,
+        requests: &[ClosestRequest],
+        on_missing: OnMissing,
+        answers: &mut Answers,
+    ) -> Result<(), TraceError> {
+        let level = self.tracer.octree.level;
+        dispatch(level, Closest { pool: self, requests, on_missing, block: None, answers })?;
+        self.note_loaded();
+        Ok(())
+    }
+
+    /// Finds for each ray whether anything lies between its ends, leaving triangles of the ignored materials apart. As
+    /// [`RayPool::closest_hits`] otherwise. A ray that waits looks at its resident blocks first.
+    ///
+    /// # Errors
+    /// As for [`RayPool::closest_hits`].
+    pub fn occluded(
+        &mut self,
+        requests: &[AnyRequest],
+        on_missing: OnMissing,
+        answers: &mut Answers,
+    ) -> Result<(), TraceError> {
+        let level = self.tracer.octree.level;
+        dispatch(level, Any { pool: self, requests, on_missing, block: None, answers })?;
+        self.note_loaded();
+        Ok(())
+    }
+
+    /// Makes one block resident, if rays wait, and runs those that wait for it, at most [`RayPool::RESUMED_MAX`];
+    /// appends to `answers`. Returns whether rays waited when it was called.
+    ///
+    /// # Errors
+    /// As for [`RayPool::closest_hits`].
+    pub fn resume(&mut self, answers: &mut Answers) -> Result<bool, TraceError> {
+        let Some(block) = self.next_block() else { return Ok(false) };
+        self.tracer.pins.loads = true;
+        let Tracer { octree, pins, scratch, counters, .. } = &mut self.tracer;
+        pins.get(octree, block, scratch, counters)?;
+        // It may lose its slot again while they run, but not before the first of them has passed it.
+        let level = self.tracer.octree.level;
+        let on_missing = OnMissing::Wait { weight: 1 };
+        dispatch(level, Closest { pool: self, requests: &[], on_missing, block: Some(block), answers })?;
+        dispatch(level, Any { pool: self, requests: &[], on_missing, block: Some(block), answers })?;
+        // A queue longer than `RESUMED_MAX` goes on with the next call.
+        let goes_on = self.suspended.is_awaited(block);
+        self.current = goes_on.then_some(block);
+        Ok(true)
+    }
+
+    /// How many rays wait for a block.
+    pub fn suspended_count(&self) -> u32 {
+        self.suspended.count()
+    }
+
+    /// Whether it is better to add rays, if there are any, than to load a block for those that wait.
+    pub fn wants_rays(&self) -> bool {
+        self.suspended.count() < self.wanted.max(1)
+    }
+
+    /// What this pool did so far.
+    pub fn counters(&self) -> TraceCounters {
+        TraceCounters { suspended_peak: u64::from(self.suspended.peak()), ..self.tracer.counters() }
+    }
+
+    /// The octree it traces.
+    pub fn octree(&self) -> &'o LazyOctree {
+        self.tracer.octree()
+    }
+
+    /// Remembers which of the blocks that were loaded for others rays wait for: they can run at no cost.
+    fn note_loaded(&mut self) {
+        for block in self.tracer.scratch.take_filled() {
+            if self.suspended.is_awaited(block) && self.loaded.len() < LOADED_MAX {
+                self.loaded.push(block);
+            }
+        }
+    }
+
+    /// The block to run next.
+    fn next_block(&mut self) -> Option<BlockId> {
+        if let Some(block) = self.current.take() {
+            return Some(block);
+        }
+        while let Some(block) = self.loaded.pop() {
+            if self.suspended.is_awaited(block) && self.tracer.octree.cache.is_resident(block) {
+                return Some(block);
+            }
+        }
+        self.suspended.awaited().next()
+    }
+}
+
+/// The longest queue among those that a query could join.
+fn longest_queue(suspended: &SuspendedRays, unvisited: &Unvisited) -> BlockId {
+    let blocks = unvisited.blocks();
+    // The first of equals, which is the nearest.
+    blocks.iter().rev().copied().max_by_key(|block| suspended.weight(*block)).unwrap_or(blocks[0])
+}
+
+/// New closest-hit queries, and those that wait for a resident block.
+struct Closest<'a, 'o> {
+    pool: &'a mut RayPool<'o>,
+    requests: &'a [ClosestRequest],
+    on_missing: OnMissing,
+    block: Option<BlockId>,
+    answers: &'a mut Answers,
+}
+
+impl AnyOperation for Closest<'_, '_> {
+    type Output = Result<(), TraceError>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Self::Output {
+        enter(simd, self.pool.tracer.octree, self)
+    }
+}
+
+impl Kernel for Closest<'_, '_> {
+    #[inline(always)]
+    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
+        let Closest { pool, requests, on_missing, block, answers } = self;
+        let RayPool { tracer, suspended, .. } = pool;
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        let (loads, new_weight) = on_missing.parts();
+        let mut work = tracer.work();
+        let mut new = requests.iter();
+        let mut resumed = 0;
+        loop {
+            // A new ray, or else one that waited for the block. Its answer is written where it belongs.
+            let (ray, after, mut from, mut place, weight);
+            if let Some(request) = new.next() {
+                work.counters.rays += 1;
+                (ray, after, from, place, weight) = (request.ray, request.after, None, None, new_weight);
+                answers.hits.push((request.tag, None));
+            } else {
+                if resumed == RayPool::RESUMED_MAX {
+                    break;
+                }
+                let Some(block) = block else { break };
+                let Some(waiting) = suspended.next_closest(block) else { break };
+                resumed += 1;
+                let record = suspended.record(waiting);
+                let Query::Closest { after: then, best } = record.query else { continue };
+                (ray, after, from, place, weight) =
+                    (record.ray, then, Some(block), Some(waiting), record.weight);
+                answers.hits.push((record.tag, best));
+            }
+            work.pins.begin_query(QueryKind::Closest);
+            work.pins.loads = loads && place.is_none();
+            let last = answers.hits.len() - 1;
+            loop {
+                let prepared = (&mut query, &mut local);
+                let best = &mut answers.hits[last].1;
+                let stopped =
+                    closest_hit::<S, P, EXPANDED>(simd, &mut work, prepared, &ray, after, from, best)
+                        .map_err(|error| error.at(requests.len() - new.len() - 1))?;
+                let Some(block) = stopped else { break };
+                place = place.or_else(|| suspended.take_place());
+                if let Some(place) = place.take() {
+                    let (tag, best) = answers.hits.swap_remove(last);
+                    suspended.wait(place, block, ray, tag, weight, Query::Closest { after, best });
+                    break;
+                }
+                // The pool is full: depth first.
+                (work.pins.loads, from) = (true, Some(block));
+            }
+            if let Some(place) = place {
+                suspended.free_place(place);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// New any-hit queries, and those that wait for a resident block.
+struct Any<'a, 'o> {
+    pool: &'a mut RayPool<'o>,
+    requests: &'a [AnyRequest],
+    on_missing: OnMissing,
+    block: Option<BlockId>,
+    answers: &'a mut Answers,
+}
+
+impl AnyOperation for Any<'_, '_> {
+    type Output = Result<(), TraceError>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Self::Output {
+        enter(simd, self.pool.tracer.octree, self)
+    }
+}
+
+impl Kernel for Any<'_, '_> {
+    #[inline(always)]
+    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
+        let Any { pool, requests, on_missing, block, answers } = self;
+        let RayPool { tracer, suspended, ignore, .. } = pool;
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        let (loads, new_weight) = on_missing.parts();
+        let mut work = tracer.work();
+        let mut unvisited = Unvisited::UNSET;
+        let mut new = requests.iter();
+        let mut resumed = 0;
+        loop {
+            let (ray, tag, mut is_resumed, mut place, weight);
+            if let Some(request) = new.next() {
+                work.counters.rays += 1;
+                (ray, tag, is_resumed, place, weight) = (request.ray, request.tag, false, None, new_weight);
+            } else {
+                if resumed == RayPool::RESUMED_MAX {
+                    break;
+                }
+                let Some(block) = block else { break };
+                let Some(waiting) = suspended.next_any(block) else { break };
+                resumed += 1;
+                let record = suspended.record(waiting);
+                let Query::Any(rest) = record.query else { continue };
+                unvisited = rest;
+                (ray, tag, is_resumed, place, weight) =
+                    (record.ray, record.tag, true, Some(waiting), record.weight);
+            }
+            work.pins.begin_query(QueryKind::Occlusion);
+            work.pins.loads = loads && place.is_none();
+            loop {
+                let prepared = (&mut query, &mut local);
+                let answer = occlusion::<S, P, EXPANDED>(
+                    simd,
+                    &mut work,
+                    prepared,
+                    &ray,
+                    ignore.as_ref(),
+                    &mut unvisited,
+                    is_resumed,
+                )
+                .map_err(|error| error.at(requests.len() - new.len() - 1))?;
+                if let Some(answer) = answer {
+                    answers.occlusions.push((tag, answer));
+                    break;
+                }
+                place = place.or_else(|| suspended.take_place());
+                if let Some(place) = place.take() {
+                    let block = longest_queue(suspended, &unvisited);
+                    suspended.wait(place, block, ray, tag, weight, Query::Any(unvisited));
+                    break;
+                }
+                // The pool is full: depth first.
+                (work.pins.loads, is_resumed) = (true, true);
+            }
+            if let Some(place) = place {
+                suspended.free_place(place);
+            }
+        }
+        Ok(())
+    }
+}

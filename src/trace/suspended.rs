@@ -1,0 +1,338 @@
+//! Rays that wait for blocks: records in a fixed number of places, one queue per missing block, and which queue is worth
+//! loading for. Knows nothing of traversal; [`RayPool`](super::RayPool) puts it to use.
+
+use super::Hit;
+use super::any::Unvisited;
+use crate::geom::Ray;
+use crate::units::{BlockId, Bytes, TriangleId};
+
+/// No place, no queue.
+const NONE: u32 = u32::MAX;
+
+/// A ray that waits, with what its query has found so far.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Record {
+    pub ray: Ray,
+    pub tag: u64,
+    /// What loading the block that it waits for is worth to it.
+    pub weight: u32,
+    pub query: Query,
+    /// The record behind it in its queue, or the next free place.
+    next: u32,
+}
+
+/// A query on its way.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Query {
+    Closest { after: Option<(f64, TriangleId)>, best: Option<Hit> },
+    Any(Unvisited),
+}
+
+/// A place for a record, from [`SuspendedRays::take_place`] to [`SuspendedRays::free_place`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Place(u32);
+
+/// What waits for one block. Closest-hit and any-hit queries are kept apart because different kernels run them.
+#[derive(Clone, Copy, Debug)]
+struct Queue {
+    block: BlockId,
+    closest: List,
+    any: List,
+    /// Sum of the records' weights.
+    weight: u64,
+    /// Where in the heap it is; for a free queue, the next free one.
+    heap_place: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct List {
+    first: u32,
+    last: u32,
+}
+
+impl List {
+    const EMPTY: List = List { first: NONE, last: NONE };
+}
+
+/// See the module. Nothing is allocated after [`SuspendedRays::new`].
+pub(super) struct SuspendedRays {
+    records: Vec<Record>,
+    capacity: u32,
+    free_record: u32,
+    count: u32,
+    peak: u32,
+    queues: Vec<Queue>,
+    free_queue: u32,
+    /// By block.
+    queue_of: Vec<u32>,
+    /// Queues that hold something: a binary heap, the greatest weight first.
+    heap: Vec<u32>,
+}
+
+impl SuspendedRays {
+    /// Room for `capacity` rays and `block_count` blocks.
+    pub fn new(capacity: u32, block_count: usize) -> SuspendedRays {
+        SuspendedRays {
+            records: Vec::with_capacity(capacity as usize),
+            capacity,
+            free_record: NONE,
+            count: 0,
+            peak: 0,
+            queues: Vec::with_capacity(capacity as usize),
+            free_queue: NONE,
+            queue_of: vec![NONE; block_count],
+            heap: Vec::with_capacity(capacity as usize),
+        }
+    }
+
+    /// What [`SuspendedRays::new`] allocates.
+    pub fn bytes_needed(capacity: u32, block_count: usize) -> Bytes {
+        let per_ray = size_of::<Record>() + size_of::<Queue>() + size_of::<u32>();
+        Bytes(u64::from(capacity) * per_ray as u64 + (block_count * size_of::<u32>()) as u64)
+    }
+
+    /// How many rays wait.
+    pub fn count(&self) -> u32 {
+        self.count
+    }
+
+    /// The most that ever waited.
+    pub fn peak(&self) -> u32 {
+        self.peak
+    }
+
+    /// A place for one more ray, unless all are taken.
+    pub fn take_place(&mut self) -> Option<Place> {
+        let place = if self.free_record != NONE {
+            let place = self.free_record;
+            self.free_record = self.records[place as usize].next;
+            place
+        } else if self.records.len() < self.capacity as usize {
+            self.records.push(Record {
+                ray: Ray::new([0.0; 3], [0.0; 3]),
+                tag: 0,
+                weight: 0,
+                query: Query::Any(Unvisited::UNSET),
+                next: NONE,
+            });
+            self.records.len() as u32 - 1
+        } else {
+            return None;
+        };
+        self.count += 1;
+        self.peak = self.peak.max(self.count);
+        Some(Place(place))
+    }
+
+    /// Gives back a place that is in no queue.
+    pub fn free_place(&mut self, place: Place) {
+        self.records[place.0 as usize].next = self.free_record;
+        self.free_record = place.0;
+        self.count -= 1;
+    }
+
+    pub fn record(&self, place: Place) -> &Record {
+        &self.records[place.0 as usize]
+    }
+
+    /// Puts a ray into `place`, which is in no queue, at the end of the queue of `block`.
+    pub fn wait(&mut self, place: Place, block: BlockId, ray: Ray, tag: u64, weight: u32, query: Query) {
+        self.records[place.0 as usize] = Record { ray, tag, weight, query, next: NONE };
+        let index = match self.queue_of[block.0 as usize] {
+            NONE => self.new_queue(block),
+            index => index,
+        };
+        let is_closest = matches!(query, Query::Closest { .. });
+        let queue = &mut self.queues[index as usize];
+        queue.weight += u64::from(weight);
+        let list = if is_closest { &mut queue.closest } else { &mut queue.any };
+        let last = list.last;
+        list.last = place.0;
+        match last {
+            NONE => list.first = place.0,
+            last => self.records[last as usize].next = place.0,
+        }
+        self.sift_up(self.queues[index as usize].heap_place);
+    }
+
+    /// Takes the first closest-hit query from the queue of `block`.
+    pub fn next_closest(&mut self, block: BlockId) -> Option<Place> {
+        self.take_first(block, |queue| &mut queue.closest)
+    }
+
+    /// Takes the first any-hit query from the queue of `block`.
+    pub fn next_any(&mut self, block: BlockId) -> Option<Place> {
+        self.take_first(block, |queue| &mut queue.any)
+    }
+
+    fn take_first(&mut self, block: BlockId, list: impl Fn(&mut Queue) -> &mut List) -> Option<Place> {
+        let index = self.queue_of[block.0 as usize];
+        let queue = self.queues.get_mut(index as usize)?;
+        let list = list(queue);
+        let first = list.first;
+        let record = self.records.get(first as usize)?;
+        list.first = record.next;
+        if record.next == NONE {
+            list.last = NONE;
+        }
+        queue.weight -= u64::from(record.weight);
+        if queue.closest.first == NONE && queue.any.first == NONE {
+            self.drop_queue(index);
+        } else {
+            self.sift_down(self.queues[index as usize].heap_place);
+        }
+        Some(Place(first))
+    }
+
+    /// What loading `block` is worth to those that wait for it.
+    pub fn weight(&self, block: BlockId) -> u64 {
+        self.queues.get(self.queue_of[block.0 as usize] as usize).map_or(0, |queue| queue.weight)
+    }
+
+    /// Whether any ray waits for `block`.
+    pub fn is_awaited(&self, block: BlockId) -> bool {
+        self.queue_of[block.0 as usize] != NONE
+    }
+
+    /// The blocks that rays wait for: first the one that it is worth most to load, then the others, roughly by worth.
+    pub fn awaited(&self) -> impl Iterator<Item = BlockId> + '_ {
+        self.heap.iter().map(|index| self.queues[*index as usize].block)
+    }
+
+    fn new_queue(&mut self, block: BlockId) -> u32 {
+        let heap_place = self.heap.len() as u32;
+        let queue = Queue { block, closest: List::EMPTY, any: List::EMPTY, weight: 0, heap_place };
+        let index = match self.free_queue {
+            // Every queue holds a record, so there are never more of them.
+            NONE => {
+                self.queues.push(queue);
+                self.queues.len() as u32 - 1
+            }
+            index => {
+                self.free_queue = self.queues[index as usize].heap_place;
+                self.queues[index as usize] = queue;
+                index
+            }
+        };
+        self.heap.push(index);
+        self.queue_of[block.0 as usize] = index;
+        index
+    }
+
+    fn drop_queue(&mut self, index: u32) {
+        let Queue { block, heap_place, .. } = self.queues[index as usize];
+        self.queue_of[block.0 as usize] = NONE;
+        self.heap.swap_remove(heap_place as usize);
+        if let Some(moved) = self.heap.get(heap_place as usize).copied() {
+            self.queues[moved as usize].heap_place = heap_place;
+            self.sift_up(heap_place);
+            self.sift_down(self.queues[moved as usize].heap_place);
+        }
+        self.queues[index as usize].heap_place = self.free_queue;
+        self.free_queue = index;
+    }
+
+    fn weight_at(&self, heap_place: u32) -> u64 {
+        self.queues[self.heap[heap_place as usize] as usize].weight
+    }
+
+    fn swap(&mut self, a: u32, b: u32) {
+        self.heap.swap(a as usize, b as usize);
+        self.queues[self.heap[a as usize] as usize].heap_place = a;
+        self.queues[self.heap[b as usize] as usize].heap_place = b;
+    }
+
+    fn sift_up(&mut self, mut place: u32) {
+        while place > 0 {
+            let parent = (place - 1) / 2;
+            if self.weight_at(parent) >= self.weight_at(place) {
+                break;
+            }
+            self.swap(parent, place);
+            place = parent;
+        }
+    }
+
+    fn sift_down(&mut self, mut place: u32) {
+        let count = self.heap.len() as u32;
+        loop {
+            let children = 2 * place + 1..count.min(2 * place + 3);
+            let Some(child) = children.max_by_key(|child| self.weight_at(*child)) else { break };
+            if self.weight_at(place) >= self.weight_at(child) {
+                break;
+            }
+            self.swap(place, child);
+            place = child;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{HashMap, VecDeque};
+
+    use super::*;
+
+    /// Against lists and a search: thousands of arrivals and departures.
+    #[test]
+    fn queues_are_what_a_naive_twin_has() {
+        const CAPACITY: u32 = 50;
+        const BLOCKS: u32 = 12;
+        let mut suspended = SuspendedRays::new(CAPACITY, BLOCKS as usize);
+        // By block: (tag, weight) of closest-hit and any-hit queries.
+        let mut twin: HashMap<u32, [VecDeque<(u64, u32)>; 2]> = HashMap::new();
+        let mut state = 7u64;
+        let mut below = |n: u32| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as u32 % n
+        };
+        let mut peak = 0;
+        for tag in 0..20_000 {
+            let count: usize = twin.values().flatten().map(VecDeque::len).sum();
+            assert_eq!(suspended.count() as usize, count);
+            peak = peak.max(count);
+            // Fills up and runs empty in turn.
+            let arrives = below(10) < if tag / 500 % 2 == 0 { 6 } else { 4 };
+            if arrives {
+                let Some(place) = suspended.take_place() else {
+                    assert_eq!(count, CAPACITY as usize);
+                    continue;
+                };
+                let (block, weight, kind) = (below(BLOCKS), 1 + below(4), below(2) as usize);
+                let query = if kind == 0 {
+                    Query::Closest { after: None, best: None }
+                } else {
+                    Query::Any(Unvisited::UNSET)
+                };
+                let ray = Ray::new([0.0; 3], [1.0; 3]);
+                suspended.wait(place, BlockId(block), ray, tag, weight, query);
+                twin.entry(block).or_default()[kind].push_back((tag, weight));
+                continue;
+            }
+            let heaviest = suspended.awaited().next();
+            if let Some(block) = heaviest {
+                let weights: HashMap<u32, u64> = twin
+                    .iter()
+                    .map(|(block, lists)| {
+                        (*block, lists.iter().flatten().map(|(_, weight)| u64::from(*weight)).sum())
+                    })
+                    .collect();
+                for block in 0..BLOCKS {
+                    let weight = weights.get(&block).copied().unwrap_or(0);
+                    assert_eq!(suspended.weight(BlockId(block)), weight);
+                    assert_eq!(suspended.is_awaited(BlockId(block)), weight > 0);
+                }
+                assert_eq!(suspended.weight(block), *weights.values().max().unwrap());
+                let kind = below(2) as usize;
+                let taken = if kind == 0 { suspended.next_closest(block) } else { suspended.next_any(block) };
+                let expected = twin.get_mut(&block.0).unwrap()[kind].pop_front();
+                assert_eq!(taken.map(|place| suspended.record(place).tag), expected.map(|(tag, _)| tag));
+                if let Some(place) = taken {
+                    suspended.free_place(place);
+                }
+            }
+        }
+        assert_eq!(suspended.peak() as usize, peak);
+        assert!(peak == CAPACITY as usize);
+    }
+}
