@@ -13,7 +13,7 @@ use outcrop::{BlockSource, MemoryBudget};
 
 use crate::common::interrupt::Interrupt;
 use crate::common::progress::Meter;
-use crate::options::{GEARS_N, Options};
+use crate::options::Options;
 
 /// The compiled file and how it came to be.
 pub struct Compiled {
@@ -23,6 +23,9 @@ pub struct Compiled {
     /// What compiling did, if it was done now.
     pub report: Option<CompileReport>,
 }
+
+/// Wheels per edge of the gears if the command line does not say.
+const GEARS_N: u32 = 4;
 
 /// Extension of compiled files.
 const EXTENSION: &str = "outcrop";
@@ -46,12 +49,12 @@ pub fn prepare(
     };
 
     let Some(model) = &options.model else {
-        let path =
-            options.compiled.clone().unwrap_or_else(|| PathBuf::from(format!("gears{GEARS_N}.{EXTENSION}")));
+        let n = options.gears_n.unwrap_or(GEARS_N);
+        let path = options.compiled.clone().unwrap_or_else(|| PathBuf::from(format!("gears{n}.{EXTENSION}")));
         let mut compiler = Compiler::new(&path, compile_options, budget, &mut progress)?;
-        Gears::new(GEARS_N)?.emit(&mut compiler)?;
+        Gears::new(n)?.emit(&mut compiler)?;
         let report = compiler.finish()?;
-        let story = format!("procedural gears, n = {GEARS_N}");
+        let story = format!("procedural gears, n = {n}");
         return Ok(Compiled { path, story, report: Some(report) });
     };
 

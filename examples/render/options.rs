@@ -21,8 +21,11 @@ render: makes a picture of a model inside a memory budget
     cargo run --release --example render -- MODEL [OPTION]... .obj, .ply, .stl (each also .gz) or a compiled .outcrop
     cargo run --release --example render -- MODEL --compile-only [-o FILE.outcrop]
 
+Without a MODEL, gears are made in code and go straight into the compiler, however many they are.
 A model is compiled first, to MODEL.outcrop, unless that file is there and the model has not changed since.
 
+model
+    --gears N               wheels per edge of the gears that are made without a MODEL (4): 27,456 N^3 + 96 triangles
 picture
     -o, --output FILE       .png, .exr or .pfm; MODEL.png in the current folder if not given
     --size WxH              512x512; one number for a square
@@ -74,6 +77,8 @@ pub enum SourceKind {
 pub struct Options {
     /// A model file or a compiled file; the gears if not given.
     pub model: Option<PathBuf>,
+    /// Wheels per edge of those.
+    pub gears_n: Option<u32>,
     /// The picture.
     pub output: PathBuf,
     pub size: [u32; 2],
@@ -106,9 +111,6 @@ pub struct Options {
     pub memory_log: Option<PathBuf>,
 }
 
-/// Wheels per edge of the gears that are shown without a model.
-pub const GEARS_N: u32 = 4;
-
 impl Options {
     pub fn parse(mut arguments: Arguments) -> Result<Command, Box<dyn Error>> {
         let mut options = Options::default();
@@ -129,6 +131,7 @@ impl Options {
                 "-h" | "--help" => return Ok(Command::Help),
                 "-o" | "--output" => output = Some(arguments.path()?),
                 "--size" => size = Some(parse_size(&arguments.text()?)?),
+                "--gears" => options.gears_n = Some(arguments.value()?),
                 "--spp" => options.samples_per_pixel = arguments.value()?,
                 "--eye" => options.eye = Some(arguments.numbers()?),
                 "--look-at" => options.look_at = Some(arguments.numbers()?),
@@ -210,6 +213,8 @@ impl Options {
         }
         if self.model.is_none() {
             self.show_gears();
+        } else if self.gears_n.is_some() {
+            return Err("--gears: only without a MODEL".into());
         }
         self.size = size.unwrap_or(self.size);
         self.memory = memory.unwrap_or(self.memory);
@@ -249,6 +254,7 @@ impl Default for Options {
     fn default() -> Options {
         Options {
             model: None,
+            gears_n: None,
             output: PathBuf::new(),
             size: [512, 512],
             samples_per_pixel: 1,
