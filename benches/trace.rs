@@ -1,6 +1,7 @@
 //! Queries of the gears: camera rays, shadow rays and bounces over resident blocks, and what loading a block costs.
 
 use std::hint::black_box;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
@@ -9,7 +10,7 @@ use outcrop::geom::Ray;
 use outcrop::octree::{LeafLayout, OctreeOptions, Tier};
 use outcrop::procedural::{Gears, Shape};
 use outcrop::source::MemorySource;
-use outcrop::trace::{Hit, Occlusion, Tracer};
+use outcrop::trace::{Crossing, Hit, Occlusion, Tracer};
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
 
@@ -186,5 +187,86 @@ fn loads(criterion: &mut Criterion) {
     }
 }
 
-criterion_group! { name = benches; config = Criterion::default().sample_size(10); targets = queries, loads }
+/// All hits of camera rays: one query after the other for the next hit, in one traversal, and without the doubles at edges.
+fn all_hits(criterion: &mut Criterion) {
+    let source = compiled();
+    let camera = camera_rays();
+    let rays: Vec<Ray> = camera.iter().step_by(4).copied().collect();
+    let octree = open(&source, OctreeOptions::default());
+    let mut tracer = octree.tracer().expect("the budget is ample");
+    // The answers are compared before they are timed; this loads the blocks, too.
+    let walked = walk(&mut tracer, &rays);
+    let before = tracer.counters();
+    let again = walk(&mut tracer, &rays);
+    let between = tracer.counters();
+    let gathered = gather(&mut tracer, &rays);
+    let after = tracer.counters();
+    assert!(
+        walked == gathered && walked == again && walked.0 > rays.len() as u64,
+        "{walked:?}, {gathered:?}"
+    );
+    println!(
+        "{} hits of {} rays; block visits: {} one after the other, {} together",
+        gathered.0,
+        rays.len(),
+        between.block_visits - before.block_visits,
+        after.block_visits - between.block_visits
+    );
+    for (unit, count) in [("ray", rays.len() as u64), ("hit", gathered.0)] {
+        let mut group = criterion.benchmark_group(format!("trace/all hits by {unit}"));
+        group.throughput(Throughput::Elements(count));
+        group.bench_function("closest_hits_after", |bencher| {
+            bencher.iter(|| walk(&mut tracer, black_box(&rays)))
+        });
+        group.bench_function("all_hits", |bencher| bencher.iter(|| gather(&mut tracer, black_box(&rays))));
+        group.bench_function("crossings", |bencher| {
+            bencher.iter(|| {
+                let mut count = 0;
+                let visit = |_: usize, _: &Crossing| {
+                    count += 1;
+                    ControlFlow::Continue(())
+                };
+                tracer.crossings(black_box(&rays), visit).expect("the model is sound");
+                count
+            });
+        });
+    }
+}
+
+/// How many hits, and a sum over which and where they are.
+type Digest = (u64, u64);
+
+fn digest(into: &mut Digest, hit: &Hit) {
+    into.0 += 1;
+    into.1 = into.1.rotate_left(5).wrapping_add(hit.t.to_bits() ^ hit.triangle.0);
+}
+
+/// The naive way.
+fn walk(tracer: &mut Tracer<'_>, rays: &[Ray]) -> Digest {
+    let mut all = (0, 0);
+    for ray in rays {
+        let mut hit = tracer.closest_hit(ray).expect("the model is sound");
+        while let Some(found) = hit {
+            digest(&mut all, &found);
+            let mut next = [None];
+            tracer
+                .closest_hits_after(&[*ray], &[(found.t, found.triangle)], &mut next)
+                .expect("the model is sound");
+            hit = next[0];
+        }
+    }
+    all
+}
+
+fn gather(tracer: &mut Tracer<'_>, rays: &[Ray]) -> Digest {
+    let mut all = (0, 0);
+    let visit = |_: usize, hit: &Hit| {
+        digest(&mut all, hit);
+        ControlFlow::Continue(())
+    };
+    tracer.all_hits(rays, visit).expect("the model is sound");
+    all
+}
+
+criterion_group! { name = benches; config = Criterion::default().sample_size(10); targets = queries, all_hits, loads }
 criterion_main!(benches);

@@ -8,6 +8,7 @@ mod support;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use compiling::{Mesh, Place, compile_with};
@@ -113,6 +114,8 @@ fn queries_allocate_nothing_whether_blocks_are_resident_or_not() {
                     tracer.closest_hits_after(&rays, &after, &mut hits).unwrap();
                     tracer.occluded(&rays, None, &mut occlusions).unwrap();
                     tracer.occluded(&rays, Some(&ignore), &mut occlusions).unwrap();
+                    tracer.all_hits(&rays, |_, _| ControlFlow::Continue(())).unwrap();
+                    tracer.crossings(&rays, |_, _| ControlFlow::Continue(())).unwrap();
                     tracer.release_pins();
                 }
             });

@@ -97,6 +97,21 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
+/// The edge functions `U`, `V`, `W` in f64, and a bound on the error of each (`docs/numerics.md`, "Edge functions"). A
+/// vertex that is not finite makes the bound infinite or NaN.
+#[inline]
+pub(super) fn edge_functions(frame: &RayFrame, vertices: &[[f64; 3]; 3]) -> ([f64; 3], f64) {
+    let [a, b, c] = *vertices;
+    let to_a = minus(a, frame.origin);
+    let (ab, ac) = (minus(b, a), minus(c, a));
+    let moment = cross(frame.direction, to_a);
+    let w = dot(ab, moment);
+    let v = -dot(ac, moment);
+    let u = (dot(cross(ab, ac), frame.direction) - v) - w;
+    let edge = max(max_abs(ab), max_abs(ac));
+    ([u, v, w], frame.edge_error * edge * (2.0 * max_abs(to_a) + edge))
+}
+
 impl RayFrame {
     /// Prepares `ray`.
     #[inline]

@@ -3,6 +3,7 @@
 
 mod aabb;
 mod bounds;
+mod crossing;
 mod degenerate;
 mod double;
 mod expansion;
@@ -12,11 +13,13 @@ mod lattice;
 mod offset;
 mod plain;
 mod ray;
+mod sight;
 mod triangle;
 mod triangle_exact;
 
 pub use aabb::Aabb;
 pub use bounds::HitErrorBounds;
+pub use crossing::Sense;
 pub use degenerate::is_degenerate;
 pub use float::{
     U32, U64, gamma, gamma_f32, relative_bounds_f32, relative_down_f32, relative_up_f32, round_down_f32,
@@ -27,4 +30,5 @@ pub use lattice::{Lattice, Precision};
 pub use offset::{hit_position, offset_origin, position_error, triangle_normal};
 pub use plain::intersect_plain;
 pub use ray::Ray;
+pub use sight::{SightEnd, line_of_sight};
 pub use triangle::{TriangleHit, intersect_certified};

@@ -97,6 +97,37 @@ pub(super) fn determinants(frame: &RayFrame, vertices: &[[f64; 3]; 3]) -> Option
     (determinant != 0.0).then_some(Determinants { v, w, determinant, numerator })
 }
 
+/// The sign that all three edge functions have once the origin is moved by `(e, e^2, e^3)`, `e` infinitesimal; 0 if they
+/// differ, or if the triangle is parallel to the ray.
+#[cold]
+#[inline(never)]
+pub(super) fn moved_sign(frame: &RayFrame, vertices: &[[f64; 3]; 3]) -> i32 {
+    if !vertices.iter().flatten().all(|x| x.abs() <= COORDINATE_MAX) {
+        return 0;
+    }
+    let [a, b, c] = *vertices;
+    // `d . A x B` grows with the origin by `d x (b - a)`.
+    let moved =
+        |edge: Difference, moment_of_start: &[Expansion<8>; 3]| match edge_function(&edge, moment_of_start)
+            .sign()
+        {
+            0 => moment(frame.direction, &edge)
+                .iter()
+                .map(Expansion::sign)
+                .find(|sign| *sign != 0)
+                .unwrap_or(0),
+            sign => sign,
+        };
+    let moment_a = moment(frame.direction, &differences(a, frame.origin));
+    let w = moved(differences(b, a), &moment_a);
+    let v = -moved(differences(c, a), &moment_a);
+    if w != v {
+        return 0;
+    }
+    let u = moved(differences(c, b), &moment(frame.direction, &differences(b, frame.origin)));
+    if u == v { u } else { 0 }
+}
+
 /// Whether the exact normal is zero.
 #[cold]
 #[inline(never)]

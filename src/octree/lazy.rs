@@ -234,8 +234,8 @@ pub(crate) fn tracer_bytes(source: &dyn BlockSource) -> Bytes {
             + BlockData::bytes_for(limits).0
             + source.buffer_bytes().0
             + BuildScratch::bytes(limits.triangle_count_max(), limits.vertex_count_max())
-            // Stacks, pins and the struct itself.
-            + (16 << 10),
+            // Stacks, pins, hits that wait and the struct itself.
+            + (24 << 10),
     )
 }
 

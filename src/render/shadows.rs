@@ -7,7 +7,7 @@ use super::optics::absorb;
 use super::query::RayQuery;
 use super::stage::Stage;
 use crate::error::TraceError;
-use crate::geom::Ray;
+use crate::geom::{Ray, RayFrame, Sense};
 use crate::trace::{Hit, Occlusion};
 use crate::units::TriangleId;
 
@@ -23,8 +23,10 @@ struct Claim {
 struct Walker {
     claim: u32,
     transmittance: DVec3,
-    /// The surface that was passed last.
-    last: Option<Hit>,
+    /// The hit that was seen last.
+    last: Option<(f64, TriangleId)>,
+    /// Where the surface was crossed that was crossed last, or where the ray begins.
+    crossed_t: f64,
 }
 
 /// Claims of one batch of points. They are added to their samples in the order in which they came, so that neither
@@ -103,8 +105,9 @@ impl ShadowBatch {
                     Occlusion::Clear => {}
                     Occlusion::Blocked => self.claims[index].contribution = DVec3::ZERO,
                     Occlusion::Filtered => {
-                        let claim = index as u32;
-                        self.walkers.push(Walker { claim, transmittance: DVec3::ONE, last: None });
+                        let (claim, crossed_t) = (index as u32, self.rays[index].t_min);
+                        let transmittance = DVec3::ONE;
+                        self.walkers.push(Walker { claim, transmittance, last: None, crossed_t });
                     }
                 }
             }
@@ -133,7 +136,7 @@ impl ShadowBatch {
             self.walk_after.clear();
             for walker in &self.walkers {
                 self.walk_rays.push(self.rays[walker.claim as usize]);
-                self.walk_after.extend(walker.last.map(|hit| (hit.t, hit.triangle)));
+                self.walk_after.extend(walker.last);
             }
             let hits = &mut self.walk_hits[..count];
             if is_first {
@@ -154,8 +157,7 @@ impl ShadowBatch {
                     *contribution *= walker.transmittance;
                     return false;
                 };
-                walker.transmittance *= pass(stage, ray, walker.last.as_ref(), &hit);
-                walker.last = Some(hit);
+                walker.pass(stage, ray, &hit);
                 let left = (*contribution * walker.transmittance).max_element();
                 let goes_on = left > stage.settings.contribution_bound;
                 if !goes_on {
@@ -169,35 +171,20 @@ impl ShadowBatch {
     }
 }
 
-/// The share of light that gets through the surface at `hit` and through the inside that ends there.
-fn pass(stage: &Stage, ray: &Ray, last: Option<&Hit>, hit: &Hit) -> DVec3 {
-    if last.is_some_and(|last| is_same_crossing(ray, last, hit)) {
-        return DVec3::ONE;
+impl Walker {
+    /// Takes it through the surface at `hit` and through the inside that ends there.
+    fn pass(&mut self, stage: &Stage, ray: &Ray, hit: &Hit) {
+        self.last = Some((hit.t, hit.triangle));
+        // At an edge or a vertex every triangle there is hit, and the surface is crossed once.
+        let Some(sense) = RayFrame::new(ray).crossing(&hit.vertices) else { return };
+        let shader = stage.shader(hit.material);
+        let mut share = DVec3::splat(shader.transmission);
+        if sense == Sense::Exit {
+            let distance = (hit.t - self.crossed_t) * DVec3::from_array(ray.direction).length();
+            // Two crossings at one point may come in either order.
+            share *= absorb(shader.absorption, distance.max(0.0));
+        }
+        self.transmittance *= share;
+        self.crossed_t = hit.t;
     }
-    let shader = stage.shader(hit.material);
-    let direction = DVec3::from_array(ray.direction);
-    let mut share = DVec3::splat(shader.transmission);
-    if DVec3::from_array(hit.normal()).dot(direction) > 0.0 {
-        let start = last.map_or(ray.t_min, |last| last.t);
-        share *= absorb(shader.absorption, (hit.t - start) * direction.length());
-    }
-    share
-}
-
-/// Whether two hits in a row are one crossing of one surface that happened to meet the edge or the vertex which two
-/// of its triangles share: edges are closed, so both report it.
-fn is_same_crossing(ray: &Ray, first: &Hit, second: &Hit) -> bool {
-    let direction = DVec3::from_array(ray.direction);
-    let side = |hit: &Hit| DVec3::from_array(hit.normal()).dot(direction) > 0.0;
-    let share_a_vertex = || first.vertices.iter().any(|vertex| second.vertices.contains(vertex));
-    if first.material != second.material || side(first) != side(second) || !share_a_vertex() {
-        return false;
-    }
-    // Both `t` stand for one point; what their planes' rounding can put between them grows as the ray grazes them.
-    let error = first.position_error() + second.position_error();
-    let slant = |hit: &Hit| {
-        let normal = DVec3::from_array(hit.normal());
-        normal.length() * 4.0 / normal.dot(direction).abs()
-    };
-    second.t - first.t <= error * slant(first).max(slant(second))
 }

@@ -2,6 +2,7 @@
 
 use super::Hit;
 use super::exact::{ExactRay, RayError};
+use super::keep::Keep;
 use super::load::{LoadScratch, Pins};
 use super::policy::{Candidate, Policy};
 use super::stack::{Entries, Stack};
@@ -22,7 +23,7 @@ pub(super) struct Work<'t, 'o> {
 }
 
 /// One closest-hit query on its way.
-struct Closest<'r, S: Simd, P: Policy> {
+struct Closest<'r, S: Simd, P: Policy, K: Keep> {
     local: &'r mut LocalRay<S>,
     /// What the policy needs of the ray.
     prepared: P::Ray<S>,
@@ -33,25 +34,25 @@ struct Closest<'r, S: Simd, P: Policy> {
     ray: &'r Ray,
     /// Where hits may begin: `ray.t_min` or the `t` in `after`.
     t_min: f64,
-    /// The best hit's `t`, or where hits must end.
+    /// Where the hits that would be kept end: the best hit's `t`, or the ray's end.
     t_max: f64,
     /// Only hits strictly after this count.
     after: Option<(f64, TriangleId)>,
-    best: &'r mut Option<Hit>,
+    kept: &'r mut K,
 }
 
-/// Puts the least hit by (t, id) among those strictly greater than `after` into `best` (I3), which holds `None` at first.
+/// Offers to `kept`, which is empty at first, hits strictly greater than `after` by (t, id): all that it would keep (I3).
 /// Returns the block at which it stopped, if the pins are not to load and one was missing; to go on, call it again with
-/// that block as `from` and `best` as it was left.
+/// that block as `from` and `kept` as it was left.
 #[inline(always)]
-pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
+pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
     (query, local): (&mut QueryRay, &mut LocalRay<S>),
     ray: &Ray,
     after: Option<(f64, TriangleId)>,
     from: Option<BlockId>,
-    best: &mut Option<Hit>,
+    kept: &mut K,
 ) -> Result<Option<BlockId>, RayError> {
     let coarse = &work.octree.coarse;
     if let Some(reason) = prepare(simd, ray, &work.octree.space, query, local) {
@@ -66,9 +67,10 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
         return Ok(None);
     }
     // As `offer` left them.
-    let t_max = best.as_ref().map_or(ray.t_max, |hit| if hit.t < f64::MAX { hit.t } else { ray.t_max });
-    let high = query.local_high(best.as_ref().map_or(ray.t_max, |hit| hit.t));
-    let mut closest: Closest<'_, S, P> = Closest {
+    let end = kept.end();
+    let t_max = end.filter(|end| *end < f64::MAX).unwrap_or(ray.t_max);
+    let high = query.local_high(end.unwrap_or(ray.t_max));
+    let mut closest: Closest<'_, S, P, K> = Closest {
         prepared: P::prepare(simd, &local.triangles),
         local,
         interval: splat_interval(simd, query.local_low(t_min), high),
@@ -78,7 +80,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
         t_min,
         t_max,
         after,
-        best,
+        kept,
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
@@ -94,6 +96,9 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
             let sub_boxes = &coarse.sub_boxes[block as usize];
             let (near, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
+                if !closest.kept.pass(|| stack.least_near(simd, near, hits), closest.query) {
+                    return Ok(None);
+                }
                 let Some(slot) = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?
                 else {
                     // This test is made again.
@@ -101,7 +106,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
                     return Ok(Some(BlockId(block)));
                 };
                 work.counters.block_visits += 1;
-                let visit = VisitBlock::<S, P, EXPANDED> {
+                let visit = VisitBlock::<S, P, K, EXPANDED> {
                     closest: &mut closest,
                     slot,
                     near,
@@ -129,8 +134,8 @@ pub(super) fn closest_hit<S: Simd, P: Policy, const EXPANDED: bool>(
 }
 
 /// The traversal of one block. A function of its own, so that the registers are its own.
-struct VisitBlock<'v, 'r, S: Simd, P: Policy, const EXPANDED: bool> {
-    closest: &'v mut Closest<'r, S, P>,
+struct VisitBlock<'v, 'r, S: Simd, P: Policy, K: Keep, const EXPANDED: bool> {
+    closest: &'v mut Closest<'r, S, P, K>,
     slot: &'v [u8],
     /// Where the ray enters the block's sub-boxes, and which.
     near: S::F,
@@ -141,7 +146,9 @@ struct VisitBlock<'v, 'r, S: Simd, P: Policy, const EXPANDED: bool> {
     counters: &'v mut TraceCounters,
 }
 
-impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '_, S, P, EXPANDED> {
+impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
+    for VisitBlock<'_, '_, S, P, K, EXPANDED>
+{
     type Output = ();
 
     #[inline(always)]
@@ -178,7 +185,7 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
     }
 }
 
-impl<S: Simd, P: Policy> Closest<'_, S, P> {
+impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
     #[inline(always)]
     fn visit_leaf<const EXPANDED: bool>(
         &mut self,
@@ -220,7 +227,7 @@ impl<S: Simd, P: Policy> Closest<'_, S, P> {
         }
     }
 
-    /// Takes a hit if it is the least so far.
+    /// Takes a hit if it is one to be kept.
     #[inline(always)]
     fn offer(
         &mut self,
@@ -231,23 +238,20 @@ impl<S: Simd, P: Policy> Closest<'_, S, P> {
         vertices: [[f64; 3]; 3],
     ) {
         let triangle = fine.id(at);
-        let better = match &*self.best {
-            Some(best) => (t, triangle) < (best.t, best.triangle),
-            None => true,
-        };
         let admitted = match self.after {
             Some(after) => (t, triangle) > after || after.0.is_nan(),
             None => true,
         };
-        if !better || !admitted {
+        if !self.kept.wants((t, triangle)) || !admitted {
             return;
         }
-        *self.best = Some(Hit { t, u, v, triangle, material: fine.material(at), vertices });
+        let hit = Hit { t, u, v, triangle, material: fine.material(at), vertices };
+        let Some(end) = self.kept.keep(hit) else { return };
         // Hits beyond the range of f64 all have t = f64::MAX, and only an infinite end admits them.
-        if t < f64::MAX {
-            self.t_max = t;
+        if end < f64::MAX {
+            self.t_max = end;
         }
-        self.high = self.query.local_high(t);
+        self.high = self.query.local_high(end);
         self.interval.high = simd.splat(self.high);
     }
 }

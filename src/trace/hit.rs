@@ -1,6 +1,6 @@
 //! What a query answers.
 
-use crate::geom::{self, HitErrorBounds, Ray, RayFrame, TriangleHit};
+use crate::geom::{self, HitErrorBounds, Ray, RayFrame, SightEnd, TriangleHit};
 use crate::units::{MaterialId, TriangleId};
 
 /// Where a ray meets a triangle.
@@ -21,6 +21,16 @@ pub struct Hit {
 }
 
 impl Hit {
+    /// For places in buffers.
+    pub(super) const UNSET: Hit = Hit {
+        t: 0.0,
+        u: 0.0,
+        v: 0.0,
+        triangle: TriangleId(0),
+        material: MaterialId(0),
+        vertices: [[0.0; 3]; 3],
+    };
+
     /// The point of the hit by barycentric weights; see [`Hit::position_error`] for how far off it can be.
     #[inline]
     pub fn position(&self) -> [f64; 3] {
@@ -46,6 +56,12 @@ impl Hit {
     #[inline]
     pub fn normal(&self) -> [f64; 3] {
         geom::triangle_normal(&self.vertices)
+    }
+}
+
+impl From<&Hit> for SightEnd {
+    fn from(hit: &Hit) -> SightEnd {
+        SightEnd::Surface { position: hit.position(), error: hit.position_error(), normal: hit.normal() }
     }
 }
 

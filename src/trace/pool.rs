@@ -288,7 +288,7 @@ impl Kernel for Closest<'_, '_> {
                 let prepared = (&mut query, &mut local);
                 let best = &mut answers.hits[last].1;
                 let stopped =
-                    closest_hit::<S, P, EXPANDED>(simd, &mut work, prepared, &ray, after, from, best)
+                    closest_hit::<S, P, _, EXPANDED>(simd, &mut work, prepared, &ray, after, from, best)
                         .map_err(|error| error.at(requests.len() - new.len() - 1))?;
                 let Some(block) = stopped else { break };
                 place = place.or_else(|| suspended.take_place());

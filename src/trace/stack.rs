@@ -77,6 +77,20 @@ impl<'e> Stack<'e> {
         }
     }
 
+    /// The least distance at which a child begins: of those that wait, all pushed in order, and of those in `hits`.
+    #[inline(always)]
+    pub fn least_near<S: Simd>(&self, simd: S, near: S::F, hits: u32) -> f32 {
+        let near = simd.to_array(near);
+        let mut least = f32::INFINITY;
+        let mut hits = hits;
+        while hits != 0 {
+            least = least.min(near[hits.trailing_zeros() as usize % LANES]);
+            hits &= hits - 1;
+        }
+        // The first entry is the end.
+        self.entries[1..self.len].iter().fold(least, |least, entry| least.min(entry.near()))
+    }
+
     /// Returns the nearest child of those in `hits` (one at least) and pushes the others, nearest last.
     #[inline(always)]
     pub fn push_sorted<S: Simd>(

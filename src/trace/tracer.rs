@@ -2,9 +2,12 @@
 
 use std::marker::PhantomData;
 
+use super::all::{Receiver, all_hits};
 use super::any::{Unvisited, occlusion};
 use super::closest::{Work, closest_hit};
+use super::crossings::PendingCrossings;
 use super::exact::ExactRay;
+use super::keep::WaitingHits;
 use super::load::{LoadScratch, Pins};
 use super::policy::{Certified, Double, Exact, Fast, Policy, Watertight};
 use super::stack::{Entries, UNUSED};
@@ -28,6 +31,8 @@ pub struct Tracer<'o> {
     pub(super) scratch: LoadScratch,
     stack: Box<Entries>,
     exact: ExactRay,
+    waiting: Box<WaitingHits>,
+    pending: Box<PendingCrossings>,
     pub(super) counters: TraceCounters,
     _reservation: Reservation,
     _permit: TracerPermit<'o>,
@@ -47,6 +52,8 @@ impl LazyOctree {
             scratch: LoadScratch::new(&*self.source),
             stack: Box::new([UNUSED; _]),
             exact: ExactRay::new(),
+            waiting: Box::new(WaitingHits::new()),
+            pending: Box::new(PendingCrossings::new()),
             counters: TraceCounters::default(),
             _reservation: reservation,
             _permit: permit,
@@ -131,16 +138,34 @@ impl<'o> Tracer<'o> {
         self.pins.clear();
     }
 
+    /// Gives all hits of each ray, in order, to what `receiver` makes of the place for crossings.
+    pub(super) fn receive_hits<'t, R: Receiver>(
+        &'t mut self,
+        rays: &[Ray],
+        receiver: impl FnOnce(&'t mut PendingCrossings) -> R,
+    ) -> Result<(), TraceError> {
+        let (work, waiting, pending) = self.parts();
+        let mut receiver = receiver(pending);
+        dispatch(work.octree.level, AllHits { work, waiting, rays, receiver: &mut receiver })
+    }
+
     #[inline(always)]
     pub(super) fn work(&mut self) -> Work<'_, 'o> {
-        Work {
+        self.parts().0
+    }
+
+    /// What a traversal works with, and where hits and crossings wait.
+    #[inline(always)]
+    fn parts(&mut self) -> (Work<'_, 'o>, &mut WaitingHits, &mut PendingCrossings) {
+        let work = Work {
             octree: self.octree,
             pins: &mut self.pins,
             scratch: &mut self.scratch,
             stack: &mut self.stack,
             exact: &mut self.exact,
             counters: &mut self.counters,
-        }
+        };
+        (work, &mut self.waiting, &mut self.pending)
     }
 }
 
@@ -172,7 +197,7 @@ impl Query for ClosestHits<'_, '_> {
             let after = self.after.get(index).copied();
             *hit = None;
             let prepared = (&mut query, &mut local);
-            closest_hit::<S, P, EXPANDED>(simd, &mut work, prepared, ray, after, None, hit)
+            closest_hit::<S, P, _, EXPANDED>(simd, &mut work, prepared, ray, after, None, hit)
                 .map_err(|error| error.at(index))?;
         }
         Ok(())
@@ -211,6 +236,38 @@ impl Query for Occlusions<'_, '_> {
                     .map_err(|error| error.at(index))?;
             // The pins load, so that there is always an answer.
             *out = answer.unwrap_or_default();
+        }
+        Ok(())
+    }
+}
+
+struct AllHits<'a, 'o> {
+    work: Work<'a, 'o>,
+    waiting: &'a mut WaitingHits,
+    rays: &'a [Ray],
+    receiver: &'a mut dyn Receiver,
+}
+
+impl AnyOperation for AllHits<'_, '_> {
+    type Output = Result<(), TraceError>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Self::Output {
+        enter(simd, self.work.octree, self)
+    }
+}
+
+impl Query for AllHits<'_, '_> {
+    #[inline(always)]
+    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
+        let AllHits { mut work, waiting, rays, receiver } = self;
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        for (index, ray) in rays.iter().enumerate() {
+            work.counters.rays += 1;
+            receiver.begin(index, ray);
+            let prepared = (&mut query, &mut local);
+            all_hits::<S, P, EXPANDED>(simd, &mut work, prepared, ray, waiting, receiver)
+                .map_err(|error| error.at(index))?;
         }
         Ok(())
     }

@@ -4,5 +4,6 @@ mod oracle;
 mod samples;
 
 mod certified;
+mod crossing;
 mod offset;
 mod watertight;

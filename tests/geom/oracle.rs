@@ -64,6 +64,21 @@ fn scaled(integer: &IBig, exponent: i64) -> RBig {
     if exponent < 0 { integer / power } else { integer * power }
 }
 
+/// The edge functions opposite to the vertices once the origin is moved by `(e, e^2, e^3)`, for an `e` that is smaller than
+/// any number that 2000 bits on the common grid can tell from 0.
+pub fn moved_edges(ray: &Ray, vertices: &[[f64; 3]; 3]) -> [IBig; 3] {
+    const BITS: usize = 2000;
+    let [a, b, c] = *vertices;
+    let ([o, a, b, c], _) = on_grid([ray.origin, a, b, c]);
+    let ([d], _) = on_grid([ray.direction]);
+    let mut start = o.map(|x| x << (3 * BITS));
+    for (axis, x) in start.iter_mut().enumerate() {
+        *x += IBig::ONE << ((2 - axis) * BITS);
+    }
+    let [a, b, c] = [a, b, c].map(|vertex| minus(&vertex.map(|x| x << (3 * BITS)), &start));
+    [dot(&d, &cross(&b, &c)), dot(&d, &cross(&c, &a)), dot(&d, &cross(&a, &b))]
+}
+
 /// The ray's line and a triangle.
 pub struct Exact {
     /// Edge functions opposite to the vertices; their sum is `determinant`.
