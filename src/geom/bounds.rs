@@ -89,7 +89,7 @@ impl Reference {
         (t.error <= (DOUBLE_ERROR_MAX + 5.0 * U64) * t.value.abs()).then_some(Reference([t, u, v]))
     }
 
-    /// From exact determinants, each rounded by a factor within `1 +- 2^-52`.
+    /// From exact determinants, each rounded to nearest.
     fn exactly(frame: &RayFrame, vertices: &[[f64; 3]; 3]) -> Option<Reference> {
         let exact = triangle_exact::determinants(frame, vertices)?;
         let ratio = |numerator: f64| {

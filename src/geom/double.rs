@@ -27,6 +27,17 @@ impl Double {
         self.high
     }
 
+    /// The nearest f64 to a number that is within `error` of `self`, if there is but one candidate.
+    #[inline]
+    pub(super) fn certainly_rounded(self, error: f64) -> Option<f64> {
+        if error == 0.0 {
+            return Some(self.high);
+        }
+        // Rounding is monotone; twice the error covers the roundings of the two sums.
+        let (below, above) = (self.low - 2.0 * error, self.low + 2.0 * error);
+        (self.high + below == self.high && self.high + above == self.high).then_some(self.high)
+    }
+
     /// `self + other` (algorithm 6: relative error at most `3 u^2 / (1 - 4 u)`, cancellation included).
     #[inline]
     pub(super) fn plus(self, other: Double) -> Double {

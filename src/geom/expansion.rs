@@ -121,25 +121,28 @@ impl<const N: usize> Expansion<N> {
         }
     }
 
-    /// The sum as one f64: 0 exactly if it is zero, otherwise off by less than one unit in the last place, so by a factor
-    /// within `1 +- 2^-52` (COMPRESS, theorem 23, of which only the largest term is kept).
+    /// The sum rounded to nearest, ties to even; zero has no sign.
     pub(crate) fn value(&self) -> f64 {
-        let Some((&last, rest)) = self.terms().split_last() else { return 0.0 };
-        let mut compressed = [0.0; N];
-        let mut bottom = self.len - 1;
+        let Some((&last, mut rest)) = self.terms().split_last() else { return 0.0 };
         let mut high = last;
-        for &term in rest.iter().rev() {
-            let (sum, low) = fast_two_sum(high, term);
-            if low != 0.0 {
-                compressed[bottom] = sum;
-                bottom -= 1;
-                high = low;
-            } else {
-                high = sum;
+        while let Some((&term, below)) = rest.split_last() {
+            rest = below;
+            let (sum, error) = fast_two_sum(high, term);
+            high = sum;
+            if error == 0.0 {
+                continue;
             }
-        }
-        for &term in &compressed[bottom + 1..self.len] {
-            high += term;
+            // What is below is smaller than the last bit of `term`, of which `error` and half a unit of `high` are multiples: it
+            // matters only if `error` is that half, a tie, and points the same way.
+            if let Some(&next) = rest.last()
+                && (next > 0.0) == (error > 0.0)
+            {
+                let other = high + 2.0 * error;
+                if other - high == 2.0 * error {
+                    high = other;
+                }
+            }
+            break;
         }
         high
     }
@@ -157,4 +160,66 @@ pub(crate) fn difference(a: f64, b: f64) -> Expansion<2> {
     exact.push(low);
     exact.push(high);
     exact
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dashu::rational::RBig;
+    use proptest::prelude::*;
+
+    fn exact(x: f64) -> RBig {
+        RBig::try_from(x).unwrap()
+    }
+
+    fn distance(a: &RBig, b: &RBig) -> RBig {
+        if a > b { a - b } else { b - a }
+    }
+
+    proptest! {
+        #[test]
+        fn values_are_rounded_to_nearest_even(top in 1u64..1 << 54, ends in prop::collection::vec((0i32..60, -2i32..3), 0..6)) {
+            // Terms are small multiples of powers of two far apart or close by, so that ties and all but ties are common.
+            let mut sum: Expansion<16> = Expansion::ZERO;
+            sum.push(top as f64);
+            let mut total = exact(top as f64);
+            let mut exponent = 0;
+            for (gap, multiple) in ends {
+                exponent -= gap;
+                let term = f64::from(multiple) * 2f64.powi(exponent);
+                total += exact(term);
+                let mut other: Expansion<1> = Expansion::ZERO;
+                other.push(term);
+                let longer: Expansion<17> = sum.plus(&other);
+                prop_assume!(longer.len <= 16);
+                sum = Expansion::ZERO;
+                for &term in longer.terms() {
+                    sum.push(term);
+                }
+            }
+            let value = sum.value();
+            let error = distance(&exact(value), &total);
+            for neighbour in [value.next_up(), value.next_down()] {
+                let other = distance(&exact(neighbour), &total);
+                prop_assert!(error < other || error == other && value.to_bits() & 1 == 0, "{sum:?}");
+            }
+            prop_assert_eq!(sum.negated().value(), -value);
+        }
+    }
+
+    #[test]
+    fn a_tie_is_broken_by_what_is_below() {
+        let sum = |terms: &[f64]| {
+            let mut sum: Expansion<4> = Expansion::ZERO;
+            terms.iter().for_each(|term| sum.push(*term));
+            sum.value()
+        };
+        let half = f64::EPSILON / 2.0;
+        assert_eq!(sum(&[half, 1.0]), 1.0);
+        assert_eq!(sum(&[1e-300, half, 1.0]), 1.0 + f64::EPSILON);
+        assert_eq!(sum(&[-1e-300, half, 1.0]), 1.0);
+        assert_eq!(sum(&[-1e-300, -half / 2.0, 1.0]), 1f64.next_down());
+        assert_eq!(sum(&[1e-300, -half / 2.0, 1.0]), 1.0);
+        assert_eq!(sum(&[]).to_bits(), 0);
+    }
 }

@@ -1,6 +1,7 @@
 //! A ray made ready for exact triangle tests, and the f64 stage of the test.
 
 use super::float::{U64, gamma};
+use super::grid::{self, Grid};
 use super::{Ray, TriangleHit, double, triangle_exact};
 
 /// Coordinates are exact multiples of this, `2^-252`, or are taken as such; every f64 from `2^-200` up is one.
@@ -22,6 +23,8 @@ const T_CONDITION_MAX_DOUBLE: f64 = (1u64 << 59) as f64;
 /// Error of the edge functions in double-length numbers relative to that in f64: `50 u^2 / gamma(9) < 8 u` (`docs/numerics.md`,
 /// "Double length").
 const DOUBLE_ERROR: f64 = 8.0 * U64;
+/// Error of the numerator of `t` in double-length numbers relative to its permanent (`docs/numerics.md`, "Double length").
+const NUMERATOR_ERROR_DOUBLE: f64 = 64.0 * U64 * U64;
 /// `u` and `v` stand if the edge functions' error is at most this part of the determinant.
 const WEIGHT_ERROR_MAX: f64 = 1.0 / (1u64 << 25) as f64;
 
@@ -56,8 +59,15 @@ pub struct RayFrame {
     edge_error: f64,
 }
 
-/// What the f64 stage knows about its own errors.
-struct Bounds {
+/// What the f64 stage found, and what it knows about its own errors.
+struct Plain {
+    /// Edge functions.
+    u: f64,
+    v: f64,
+    w: f64,
+    determinant: f64,
+    /// Numerator of `t`.
+    numerator: f64,
     /// Of each edge function.
     error: f64,
     /// Permanent of the numerator of `t`.
@@ -83,6 +93,14 @@ fn min(a: f64, b: f64) -> f64 {
 
 fn max_abs(a: [f64; 3]) -> f64 {
     max(max(a[0].abs(), a[1].abs()), a[2].abs())
+}
+
+/// Whether a line with these exact edge functions meets the closed triangle.
+fn meets(edges: [f64; 3]) -> bool {
+    let [u, v, w] = edges;
+    let (least, most) = (min(min(u, v), w), max(max(u, v), w));
+    // One sign, and not all zero.
+    (least >= 0.0 && most > 0.0) || (most <= 0.0 && least < 0.0)
 }
 
 fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -169,7 +187,8 @@ impl RayFrame {
     /// most `2^-1074`. `u` and `v` are off by at most `2^-24` and satisfy `0 <= u`, `0 <= v`, `u + v <= 1` in f64. In the
     /// triangle's plane the point they give is off by about `gamma(10)` of the distance to the origin over the cosine of incidence.
     ///
-    /// `exact_fallbacks` grows by one if f64 left the answer open and double-length or exact arithmetic gave it.
+    /// `exact_fallbacks` grows by one if f64 with its error bounds left the answer open: then it was found out whether rounding
+    /// happened at all, and, if so, double-length or exact arithmetic gave the answer.
     #[inline]
     pub fn intersect(&self, vertices: &[[f64; 3]; 3], exact_fallbacks: &mut u64) -> Option<TriangleHit> {
         let [a, b, c] = *vertices;
@@ -215,14 +234,40 @@ impl RayFrame {
             return None;
         }
         *exact_fallbacks += 1;
-        self.intersect_double(vertices, Bounds { error, numerator_permanent, permanent })
+        let plain = Plain { u, v, w, determinant, numerator, error, numerator_permanent, permanent };
+        self.intersect_further(vertices, &plain)
     }
 
-    /// The same determinants in double-length numbers: settles needles, grazing rays and near misses of an edge at about a tenth
-    /// of the price of exact arithmetic, which is left with exact zeros and worse.
+    /// What the f64 stage left open. Ties, as a rule, between short numbers: then f64, or double-length numbers, rounded nothing.
     #[cold]
     #[inline(never)]
-    fn intersect_double(&self, vertices: &[[f64; 3]; 3], bounds: Bounds) -> Option<TriangleHit> {
+    fn intersect_further(&self, vertices: &[[f64; 3]; 3], plain: &Plain) -> Option<TriangleHit> {
+        let grid = Grid::of(self.direction, &[self.origin, vertices[0], vertices[1], vertices[2]]);
+        // At least the sum of the permanents of the edge functions, up to roundings.
+        let permanent = plain.error / gamma(10);
+        if grid.holds_edge_functions(permanent, grid::F64_BITS) {
+            let Plain { u, v, w, determinant, numerator, .. } = *plain;
+            if !meets([u, v, w]) {
+                return None;
+            }
+            if grid.holds_numerator(plain.numerator_permanent, grid::F64_BITS) {
+                return self.accept(numerator / determinant, v / determinant, w / determinant);
+            }
+        }
+        self.intersect_double(vertices, plain, &grid, permanent)
+    }
+
+    /// The same determinants in double-length numbers: settles needles, grazing rays, near misses of an edge, and ties of
+    /// numbers of middling length, at about a tenth of the price of exact arithmetic, which is left with the ties of long
+    /// numbers and worse.
+    #[inline(never)]
+    fn intersect_double(
+        &self,
+        vertices: &[[f64; 3]; 3],
+        plain: &Plain,
+        grid: &Grid,
+        edge_permanent: f64,
+    ) -> Option<TriangleHit> {
         let [a, b, c] = *vertices;
         let direction = self.direction.map(double::Double::from);
         let to_a = double::difference(a, self.origin);
@@ -232,18 +277,33 @@ impl RayFrame {
         let normal = double::cross(&ab, &ac);
         let determinant = double::dot(&normal, &direction);
         let u = determinant.minus(v).minus(w);
-
-        let error = DOUBLE_ERROR * bounds.error;
         let [u, v, w, determinant] = [u, v, w, determinant].map(double::Double::value);
+        let numerator = double::dot(&normal, &to_a);
+
+        if grid.holds_edge_functions(edge_permanent, grid::DOUBLE_BITS) {
+            if !meets([u, v, w]) {
+                return None;
+            }
+            let error = if grid.holds_numerator(plain.numerator_permanent, grid::DOUBLE_BITS) {
+                0.0
+            } else {
+                NUMERATOR_ERROR_DOUBLE * plain.numerator_permanent
+            };
+            if let Some(numerator) = numerator.certainly_rounded(error) {
+                return self.accept(numerator / determinant, v / determinant, w / determinant);
+            }
+            return triangle_exact::intersect(self, vertices);
+        }
+        let error = DOUBLE_ERROR * plain.error;
         let (least, most) = (min(min(u, v), w), max(max(u, v), w));
         if least < -error && most > error {
             return None;
         }
-        let numerator = double::dot(&normal, &to_a).value();
         let inverse = 1.0 / determinant;
+        let numerator = numerator.value();
         let t = numerator * inverse;
-        let t_stands = bounds.numerator_permanent + bounds.permanent * t.abs()
-            <= T_CONDITION_MAX_DOUBLE * numerator.abs();
+        let t_stands =
+            plain.numerator_permanent + plain.permanent * t.abs() <= T_CONDITION_MAX_DOUBLE * numerator.abs();
         if (least > error || most < -error) && t_stands && error <= WEIGHT_ERROR_MAX * determinant.abs() {
             return self.accept(t, v * inverse, w * inverse);
         }

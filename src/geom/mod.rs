@@ -9,6 +9,7 @@ mod double;
 mod expansion;
 mod float;
 mod frame;
+mod grid;
 mod lattice;
 mod offset;
 mod plain;

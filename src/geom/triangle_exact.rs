@@ -71,7 +71,7 @@ fn plane(frame: &RayFrame, ab: &Difference, ac: &Difference, to_a: &Difference) 
     [determinant, dot::<16, 32, 64, 128, 192>(&normal, to_a).value()]
 }
 
-/// What `t` and the weights are ratios of, each off by a factor within `1 +- 2^-52`.
+/// What `t` and the weights are ratios of, each rounded to nearest.
 pub(super) struct Determinants {
     pub v: f64,
     pub w: f64,

@@ -2,6 +2,7 @@
 
 #![allow(dead_code)]
 
+use dashu::base::BitTest;
 use dashu::integer::IBig;
 use dashu::rational::RBig;
 use outcrop::geom::{Ray, TriangleHit};
@@ -79,6 +80,25 @@ pub fn moved_edges(ray: &Ray, vertices: &[[f64; 3]; 3]) -> [IBig; 3] {
     [dot(&d, &cross(&b, &c)), dot(&d, &cross(&c, &a)), dot(&d, &cross(&a, &b))]
 }
 
+/// `2^exponent`, as far as it is normal.
+fn power(exponent: i64) -> f64 {
+    f64::from_bits(((exponent.clamp(-1022, 1023) + 1023) as u64) << 52)
+}
+
+/// `(f, e)` such that `f * 2^e` is `a` rounded to 53 bits, ties to even.
+fn nearest(a: &IBig) -> (f64, i64) {
+    let magnitude = abs(a.clone());
+    let excess = magnitude.bit_len().saturating_sub(54);
+    // One bit more than kept, and one for all that follow.
+    let mut short = &magnitude >> excess;
+    let mut exponent = excess as i64;
+    if (&short << excess) != magnitude {
+        (short, exponent) = ((short << 1usize) + IBig::ONE, exponent - 1);
+    }
+    let short = i64::try_from(short).unwrap() as f64;
+    (if *a < IBig::ZERO { -short } else { short }, exponent)
+}
+
 /// The ray's line and a triangle.
 pub struct Exact {
     /// Edge functions opposite to the vertices; their sum is `determinant`.
@@ -124,6 +144,22 @@ impl Exact {
     /// Weights of the second and of the third vertex. The line is not parallel to the plane.
     pub fn weights(&self) -> [RBig; 2] {
         [1, 2].map(|edge| RBig::from(self.edges[edge].clone()) / RBig::from(self.determinant.clone()))
+    }
+
+    /// `t`, `u` and `v` as quotients of the determinants, each of these rounded to nearest: what ties promise. The line meets
+    /// the triangle. None if `t` leaves the normal range.
+    pub fn rounded_quotients(&self) -> Option<[f64; 3]> {
+        let quotient = |numerator: &IBig, exponent: i64| {
+            let ((n, en), (d, ed)) = (nearest(numerator), nearest(&self.determinant));
+            let (quotient, exponent) = (n / d, exponent + en - ed);
+            // In two steps, since a weight's exponent may be beyond a single power; the first is exact.
+            quotient * power(exponent / 2) * power(exponent - exponent / 2)
+        };
+        let t = quotient(&self.numerator, self.exponent);
+        let u = quotient(&self.edges[1], 0).clamp(0.0, 1.0);
+        let v = quotient(&self.edges[2], 0).clamp(0.0, 1.0 - u);
+        // Adding zero turns -0 into 0.
+        (t == 0.0 || t.is_normal()).then_some([t + 0.0, u + 0.0, v + 0.0])
     }
 
     /// Whether `t` is off by a factor within `1 +- 2^-bits`.

@@ -89,8 +89,35 @@ fn to_f32(triangle: Triangle) -> Triangle {
     triangle.map(|p| p.map(|x| f64::from(x as f32)))
 }
 
+/// The axes in some order.
+fn turned(random: &mut Random) -> [usize; 3] {
+    let first = random.below(3) as usize;
+    let others = [(first + 1) % 3, (first + 2) % 3];
+    if random.below(2) == 0 { [first, others[0], others[1]] } else { [first, others[1], others[0]] }
+}
+
+/// A vertex, or the middle or a quarter of an edge: exact for vertices of up to 51 bits.
+fn on_border(random: &mut Random, triangle: &Triangle) -> [f64; 3] {
+    let first = random.below(3) as usize;
+    let (a, b) = (triangle[first], triangle[(first + 1) % 3]);
+    let part = [0.0, 0.5, 0.25][random.below(3) as usize];
+    [0, 1, 2].map(|axis| a[axis] + part * (b[axis] - a[axis]))
+}
+
+/// As it is, or one component off by the least step of f32 or of f64.
+fn nudged(random: &mut Random, mut point: [f64; 3]) -> [f64; 3] {
+    let axis = random.below(3) as usize;
+    match random.below(4) {
+        0 => point[axis] = point[axis].next_up(),
+        1 => point[axis] = f64::from((point[axis] as f32).next_down()),
+        _ => {}
+    }
+    // Nothing below the proven domain.
+    point.map(|x| if x.abs() < 2f64.powi(-200) { 0.0 } else { x })
+}
+
 /// The families of [`sample`], by name.
-pub const FAMILIES: [&str; 17] = [
+pub const FAMILIES: [&str; 20] = [
     "random",
     "f32 vertices",
     "exact hits of vertices and edges",
@@ -108,6 +135,9 @@ pub const FAMILIES: [&str; 17] = [
     "needles of every width at every slope",
     "needles in their own plane",
     "a hair off a slanted plane",
+    "along an axis at boxes, and nearly",
+    "short directions at short vertices, and nearly",
+    "f32 directions at f32 vertices, and nearly",
 ];
 
 /// A ray and a triangle of a family. All inside the proven domain.
@@ -276,6 +306,42 @@ pub fn sample(family: usize, random: &mut Random) -> (Ray, Triangle) {
             let off = 2f64.powi(-(random.below(50) as i32));
             let origin = [x, 3.0 * x + off, random.signed()];
             (Ray::new(origin, [random.signed(), -4.0, random.signed()]), triangle)
+        }
+        17 => {
+            let corners = if random.below(2) == 0 {
+                [(); 2].map(|()| random.vector(100.0).map(|x| f64::from(x as f32)))
+            } else {
+                // A lattice far out.
+                [(); 2].map(|()| random.integers(1 << 34).map(|x| x * 2f64.powi(-10)))
+            };
+            let [x, y, z] = turned(random);
+            // Two opposite vertices of one side of the box, and one of the others.
+            let (lower, upper) = (corners[0], corners[1]);
+            let mut side = [lower; 3];
+            (side[1][x], side[1][y], side[2][x]) = (upper[x], upper[y], upper[x]);
+            let target = on_border(random, &side);
+            let mut direction = [0.0; 3];
+            direction[z] = if random.below(2) == 0 { 1.0 } else { -1.0 };
+            let back = along(target, -f64::from(1 << random.below(10)), direction);
+            (Ray::new(nudged(random, back), direction), side)
+        }
+        18 => {
+            let bits = random.below(24);
+            let step = 2f64.powi(random.below(60) as i32 - 30);
+            let triangle = [(); 3].map(|()| random.integers(4 << bits).map(|x| x * step));
+            let longest = 1 << random.below(12);
+            let direction = random.integers(longest);
+            let direction = if direction == [0.0; 3] { [0.0, 1.0, 0.0] } else { direction };
+            let target = on_border(random, &triangle);
+            let origin = along(target, -(random.below(1 << 10) as f64) * step, direction);
+            (Ray::new(nudged(random, origin), direction), triangle)
+        }
+        19 => {
+            let triangle = to_f32([(); 3].map(|()| random.vector(10.0)));
+            let origin = random.vector(100.0).map(|x| f64::from(x as f32));
+            // From f32 to the middle of f32: an exact difference of few bits.
+            let target = on_border(random, &triangle);
+            (Ray::new(nudged(random, origin), minus(target, origin)), triangle)
         }
         _ => {
             let exponent = [-200, -100, 0, 100, 200][random.below(5) as usize];
