@@ -62,6 +62,11 @@ impl Options {
                 Long("shadows-load") => options.shadows_load = true,
                 // `cargo bench` adds it.
                 Long("bench") => {}
+                // As for criterion's benches: once, small, only to see that it runs and that all answers are the same.
+                Long("test") => {
+                    (options.model, options.side) = ("gears1".to_string(), 32);
+                    (options.pools, options.percents) = (vec![64], vec![25.0]);
+                }
                 other => return Err(other.unexpected()),
             }
         }
