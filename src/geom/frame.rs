@@ -157,6 +157,27 @@ impl RayFrame {
         }
     }
 
+    /// [`RayFrame::new`] for a ray whose origin is finite and below 2^252, and whose direction has components that are
+    /// normal numbers not below `2^-500` of the largest one, which is between `2^-1000` and `2^1000`: then nothing of the
+    /// direction is rounded, and nothing has to be looked at.
+    #[inline(always)]
+    pub(crate) fn of_plain(ray: &Ray) -> RayFrame {
+        let [x, y, z] = ray.direction;
+        let exponent = (max_abs(ray.direction).to_bits() >> 52) as i64 - 1023;
+        let scale = f64::from_bits(((1023 - exponent) as u64) << 52);
+        let direction = [x * scale, y * scale, z * scale];
+        let length = direction[0].abs() + direction[1].abs() + direction[2].abs();
+        let [x, y, z] = ray.origin;
+        RayFrame {
+            origin: [snap(x, COORDINATE_UNIT), snap(y, COORDINATE_UNIT), snap(z, COORDINATE_UNIT)],
+            direction,
+            scale,
+            t_min: ray.t_min,
+            t_max: ray.t_max,
+            edge_error: EDGE_ERROR * length,
+        }
+    }
+
     /// Where the ray's `t` is 0.
     pub fn origin(&self) -> [f64; 3] {
         self.origin
@@ -191,6 +212,16 @@ impl RayFrame {
     /// happened at all, and, if so, double-length or exact arithmetic gave the answer.
     #[inline]
     pub fn intersect(&self, vertices: &[[f64; 3]; 3], exact_fallbacks: &mut u64) -> Option<TriangleHit> {
+        self.intersect_inlined(vertices, exact_fallbacks)
+    }
+
+    /// [`RayFrame::intersect`] for callers whose instructions are others than the target's.
+    #[inline(always)]
+    pub(crate) fn intersect_inlined(
+        &self,
+        vertices: &[[f64; 3]; 3],
+        exact_fallbacks: &mut u64,
+    ) -> Option<TriangleHit> {
         let [a, b, c] = *vertices;
         let to_a = minus(a, self.origin);
         let (ab, ac) = (minus(b, a), minus(c, a));

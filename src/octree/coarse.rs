@@ -14,6 +14,8 @@ use crate::units::Bytes;
 #[derive(Debug)]
 pub(crate) struct CoarseTree {
     pub frame: Frame,
+    /// Whether the blocks of the model have that frame too.
+    pub is_shared: bool,
     pub nodes: Vec<Node>,
     /// By block: lets a ray pass a block by without loading it.
     pub sub_boxes: Vec<PackedBoxes>,
@@ -40,6 +42,7 @@ impl CoarseTree {
             Precision::Lattice(_) => model.bounds.center(),
         };
         let frame = Frame { base, scale };
+        let is_shared = model.precision == Precision::Float32;
         // Every node has eight children or only leaves, at least two unless it is the root: at most half as many of
         // the latter as blocks, and a seventh of that of the former.
         let node_count_max = 4 * block_count / 7 + 2;
@@ -65,7 +68,7 @@ impl CoarseTree {
             })
             .collect();
         let parents = parents(&nodes, block_count);
-        Ok(CoarseTree { frame, nodes, sub_boxes, parents, _reservation: reservation })
+        Ok(CoarseTree { frame, is_shared, nodes, sub_boxes, parents, _reservation: reservation })
     }
 
     /// The node that `child` is a child of; `None` for the root.

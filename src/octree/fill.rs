@@ -48,7 +48,7 @@ impl AnyOperation for Build<'_> {
         let (least_id, last_id) = (data.ids[0], data.ids[data.ids.len() - 1]);
         let mut header = Header {
             base: data.base,
-            scale: layout.scale,
+            inverse_scale: 1.0 / layout.scale,
             least_id,
             triangle_count: data.triangles.len() as u32,
             vertex_count: data.vertices.len() as u32,

@@ -24,7 +24,7 @@
 
 use super::frame::Frame;
 use super::node::{Child, Node, PLACE_BYTES};
-use crate::simd::{LANES, Packet, Simd};
+use crate::simd::{LANES, Packet, PacketRows, Simd};
 use crate::units::{Bytes, MaterialId, TriangleId};
 
 /// How a model's slots are laid out; the same for all its blocks.
@@ -48,7 +48,8 @@ pub(super) struct Header {
     pub low: [f32; 3],
     pub high: [f32; 3],
     pub base: [f64; 3],
-    pub scale: f64,
+    /// Of the model's scale, a power of two, so that the inverse is exact.
+    pub inverse_scale: f64,
     pub least_id: u64,
     pub triangle_count: u32,
     pub vertex_count: u32,
@@ -138,6 +139,25 @@ pub(crate) struct TriangleLocation {
     pub lane: usize,
 }
 
+/// The triangles of a leaf, as kernels take them.
+pub(crate) enum Leaf<'a> {
+    Rows(PacketRows<'a>),
+    Indices { vertices: &'a [[f32; 3]], triangles: &'a [[u16; 3]] },
+}
+
+impl Leaf<'_> {
+    /// Eight triangles, from the one at `first` (below the count) on. Lanes from the leaf's count on hold anything.
+    #[inline(always)]
+    pub fn packet<S: Simd>(&self, simd: S, first: usize) -> Packet<S> {
+        match self {
+            Leaf::Rows(rows) => rows.packet(simd, first),
+            Leaf::Indices { vertices, triangles } => {
+                Packet::from_indices(simd, vertices, &triangles[first..])
+            }
+        }
+    }
+}
+
 /// Reads a built slot.
 #[derive(Clone, Copy)]
 pub(crate) struct Fine<'a> {
@@ -157,7 +177,7 @@ impl<'a> Fine<'a> {
     }
 
     pub fn frame(&self) -> Frame {
-        Frame { base: self.header.base, scale: self.header.scale }
+        Frame { base: self.header.base, scale: 1.0 / self.header.inverse_scale }
     }
 
     /// Lowest and highest corner of the block in its frame.
@@ -191,17 +211,15 @@ impl<'a> Fine<'a> {
         f32::from_bits(self.words[leaf.place() * (PLACE_BYTES / 4)])
     }
 
-    /// Eight triangles of a leaf, from the one at `first` on. Lanes from the leaf's count on hold anything.
+    /// What packets of a leaf are made from.
     #[inline(always)]
-    pub fn packet<S: Simd, const EXPANDED: bool>(&self, simd: S, leaf: Child, first: usize) -> Packet<S> {
-        let count = leaf.triangle_count();
-        let start = leaf.place() * (PLACE_BYTES / 4);
-        let rows = start + 1 + count * (1 + self.header.long_ids as usize);
+    pub fn leaf<const EXPANDED: bool>(&self, leaf: Child) -> Leaf<'a> {
         if EXPANDED {
-            Packet::from_rows(simd, bytemuck::cast_slice(self.words), rows, count, first)
+            let count = leaf.triangle_count();
+            let start = leaf.place() * (PLACE_BYTES / 4) + 1 + count * (1 + self.header.long_ids as usize);
+            Leaf::Rows(PacketRows::new(bytemuck::cast_slice(&self.words[start..]), count))
         } else {
-            let indices = &self.indices(leaf)[first..];
-            Packet::from_indices(simd, self.vertices(), indices)
+            Leaf::Indices { vertices: self.vertices(), triangles: self.indices(leaf) }
         }
     }
 
@@ -249,7 +267,7 @@ impl<'a> Fine<'a> {
     #[inline(always)]
     fn model_position(self, local: [f32; 3]) -> [f64; 3] {
         // The scale is a power of two whose inverse is one too, so the product with it is exact.
-        let inverse = if self.header.scale == 1.0 { 1.0 } else { 1.0 / self.header.scale };
+        let inverse = self.header.inverse_scale;
         let base = &self.header.base;
         [
             base[0] + f64::from(local[0]) * inverse,

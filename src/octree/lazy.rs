@@ -284,7 +284,7 @@ impl Parts {
             source,
             touched: TouchedBlocks::new(self.model.blocks.len()),
             accesses: None,
-            space: Space::new(self.model.bounds, self.coarse.frame),
+            space: Space::new(self.model.bounds, self.coarse.frame, self.coarse.is_shared),
             model: self.model,
             cache,
             coarse: self.coarse,

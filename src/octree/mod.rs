@@ -9,6 +9,8 @@ mod frame;
 mod lazy;
 mod node;
 mod options;
+mod ray;
+mod ray_group;
 mod sah;
 mod touched;
 
@@ -19,6 +21,7 @@ pub(crate) use build::BuildScratch;
 pub(crate) use coarse::CoarseTree;
 pub(crate) use fill::build;
 pub(crate) use fine::{Fine, TriangleLocation};
-pub(crate) use frame::{LocalRay, QueryRay, prepare, splat_interval};
 pub(crate) use lazy::{TracerPermit, tracer_bytes};
 pub(crate) use node::{Child, LEVELS_MAX, STACK_MAX};
+pub(crate) use ray::{LocalRay, QueryRay, splat_interval};
+pub(crate) use ray_group::RayGroup;

@@ -63,6 +63,52 @@ impl Simd for Avx2 {
         pure!(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128(packed))))
     }
     #[inline(always)]
+    fn narrow(self, low: &[f64; LANES / 2], high: &[f64; LANES / 2]) -> __m256 {
+        // SAFETY: as for `pure`; both are valid for reading four f64 and the loads may be unaligned.
+        unsafe {
+            let low = _mm256_cvtpd_ps(_mm256_loadu_pd(low.as_ptr()));
+            let high = _mm256_cvtpd_ps(_mm256_loadu_pd(high.as_ptr()));
+            _mm256_set_m128(high, low)
+        }
+    }
+    #[inline(always)]
+    fn transpose(self, rows: &[__m256; LANES]) -> [__m256; LANES] {
+        let [a, b, c, d, e, f, g, h] = *rows;
+        pure!({
+            // Pairs of rows, then quadruples, then halves.
+            let (ab, cd) = (
+                [_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b)],
+                [_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d)],
+            );
+            let (ef, gh) = (
+                [_mm256_unpacklo_ps(e, f), _mm256_unpackhi_ps(e, f)],
+                [_mm256_unpacklo_ps(g, h), _mm256_unpackhi_ps(g, h)],
+            );
+            let upper = [
+                _mm256_shuffle_ps::<0x44>(ab[0], cd[0]),
+                _mm256_shuffle_ps::<0xee>(ab[0], cd[0]),
+                _mm256_shuffle_ps::<0x44>(ab[1], cd[1]),
+                _mm256_shuffle_ps::<0xee>(ab[1], cd[1]),
+            ];
+            let lower = [
+                _mm256_shuffle_ps::<0x44>(ef[0], gh[0]),
+                _mm256_shuffle_ps::<0xee>(ef[0], gh[0]),
+                _mm256_shuffle_ps::<0x44>(ef[1], gh[1]),
+                _mm256_shuffle_ps::<0xee>(ef[1], gh[1]),
+            ];
+            [
+                _mm256_permute2f128_ps::<0x20>(upper[0], lower[0]),
+                _mm256_permute2f128_ps::<0x20>(upper[1], lower[1]),
+                _mm256_permute2f128_ps::<0x20>(upper[2], lower[2]),
+                _mm256_permute2f128_ps::<0x20>(upper[3], lower[3]),
+                _mm256_permute2f128_ps::<0x31>(upper[0], lower[0]),
+                _mm256_permute2f128_ps::<0x31>(upper[1], lower[1]),
+                _mm256_permute2f128_ps::<0x31>(upper[2], lower[2]),
+                _mm256_permute2f128_ps::<0x31>(upper[3], lower[3]),
+            ]
+        })
+    }
+    #[inline(always)]
     fn to_array(self, x: __m256) -> [f32; LANES] {
         let mut lanes = [0.0; LANES];
         // SAFETY: as for `pure`; `lanes` is valid for writing eight f32 and the store may be unaligned.

@@ -21,9 +21,8 @@ pub struct BoxRay<S: Simd> {
     x: Axis<S>,
     y: Axis<S>,
     z: Axis<S>,
-    /// The inverse by axis in lanes 0 to 2, and what to widen the origin by.
-    inverse: S::F,
-    widen: S::F,
+    /// What to widen the origin by, per axis.
+    widen: [f32; 3],
 }
 
 /// One axis of a ray.
@@ -35,9 +34,10 @@ struct Axis<S: Simd> {
     /// Makes the exit from the farther plane.
     far_inverse: S::F,
     far_offset: S::F,
-    /// Row of `Boxes` that the ray enters by, 0 ..= 5; the opposite row it leaves by. Kept in range by `set_direction`.
-    near_row: usize,
-    far_row: usize,
+    /// Eight times the row of `Boxes` (0 ..= 5) that the ray enters by, and of the opposite one, which it leaves by: where the
+    /// row begins, so that no instruction is spent on finding it. Nothing else is ever written here.
+    near_row: u32,
+    far_row: u32,
 }
 
 /// More than `(1 + 2^-24)^8`, with room for the rounding of the product with it.
@@ -121,7 +121,7 @@ impl<S: Simd> BoxRay<S> {
             near_row: 0,
             far_row: 0,
         };
-        BoxRay { x: axis, y: axis, z: axis, inverse: zero, widen: zero }
+        BoxRay { x: axis, y: axis, z: axis, widen: [0.0; 3] }
     }
 
     /// Sets the direction, in lanes 0 to 2, rounded. The origin is to be set after it.
@@ -137,34 +137,23 @@ impl<S: Simd> BoxRay<S> {
         self.x.set_direction(simd, near[0], far[0], 0, negative & 1);
         self.y.set_direction(simd, near[1], far[1], 1, negative >> 1 & 1);
         self.z.set_direction(simd, near[2], far[2], 2, negative >> 2 & 1);
-        self.inverse = inverse;
-        self.widen = simd.load(&parallel.widen);
+        self.widen = [parallel.widen[0], parallel.widen[1], parallel.widen[2]];
     }
 
-    /// Sets the origin, in lanes 0 to 2, rounded to nearest.
+    /// Sets the origin, each coordinate in all lanes, rounded to nearest.
     #[inline(always)]
-    pub fn set_origin(&mut self, simd: S, origin: S::F) {
-        let step = simd.mul_add(simd.abs(origin), simd.splat(ORIGIN_ROUNDING), self.widen);
-        // Entries are earlier and exits later if the origin is farther along the ray, and nearer, respectively.
-        let step = simd.flip_sign(step, self.inverse);
-        let zero = simd.splat(0.0);
-        let far_inverse = simd.mul(self.inverse, simd.splat(WIDEN));
-        let near = simd.mul(simd.sub(zero, simd.add(origin, step)), self.inverse);
-        let far = simd.mul(simd.sub(step, origin), far_inverse);
-        self.set_offsets(simd, near, far);
+    pub fn set_origin(&mut self, simd: S, origin: &[S::F; 3]) {
+        self.x.set_origin(simd, origin[0], simd.splat(self.widen[0]));
+        self.y.set_origin(simd, origin[1], simd.splat(self.widen[1]));
+        self.z.set_origin(simd, origin[2], simd.splat(self.widen[2]));
     }
 
     /// Lets the origin be anywhere, so that every box passes but the empty ones.
     pub fn set_origin_unknown(&mut self, simd: S) {
-        self.set_offsets(simd, simd.splat(f32::MIN), simd.splat(f32::MAX));
-    }
-
-    #[inline(always)]
-    fn set_offsets(&mut self, simd: S, near: S::F, far: S::F) {
-        let (near, far) = (simd.to_array(near), simd.to_array(far));
-        (self.x.near_offset, self.x.far_offset) = (simd.splat(near[0]), simd.splat(far[0]));
-        (self.y.near_offset, self.y.far_offset) = (simd.splat(near[1]), simd.splat(far[1]));
-        (self.z.near_offset, self.z.far_offset) = (simd.splat(near[2]), simd.splat(far[2]));
+        let (near, far) = (simd.splat(f32::MIN), simd.splat(f32::MAX));
+        (self.x.near_offset, self.x.far_offset) = (near, far);
+        (self.y.near_offset, self.y.far_offset) = (near, far);
+        (self.z.near_offset, self.z.far_offset) = (near, far);
     }
 
     /// Tests eight boxes against the part of the ray between `t_min` and `t_max`. Bit `i` of the result is set if the
@@ -191,27 +180,133 @@ impl<S: Simd> BoxRay<S> {
     }
 }
 
+/// Where the rows begin that hold the lowest and the highest coordinates of an axis.
+const LOW_ROWS: [u32; 3] = [0, LANES as u32, 2 * LANES as u32];
+const HIGH_ROWS: [u32; 3] = [3 * LANES as u32, 4 * LANES as u32, 5 * LANES as u32];
+
+/// What is added to the products with the inverses: for entries and for exits.
+#[inline(always)]
+fn offsets<S: Simd>(
+    simd: S,
+    origin: S::F,
+    widen: S::F,
+    near_inverse: S::F,
+    far_inverse: S::F,
+) -> (S::F, S::F) {
+    let step = simd.mul_add(simd.abs(origin), simd.splat(ORIGIN_ROUNDING), widen);
+    // Entries are earlier and exits later if the origin is farther along the ray, and nearer, respectively.
+    let step = simd.flip_sign(step, near_inverse);
+    let near = simd.mul(simd.sub(simd.splat(0.0), simd.add(origin, step)), near_inverse);
+    (near, simd.mul(simd.sub(step, origin), far_inverse))
+}
+
+/// Eight rays made ready for box tests at once: oblique ones ([`BoxRay::is_oblique`]) with origins that are exact before they
+/// are rounded to f32. The same as [`BoxRay::set_direction`] and [`BoxRay::set_origin`] for each, at a third of the price.
+#[derive(Clone, Copy, Debug)]
+pub struct BoxRays {
+    axes: [AxisOfRays; 3],
+}
+
+/// One axis of eight rays: see [`Axis`].
+#[derive(Clone, Copy, Debug)]
+struct AxisOfRays {
+    near_inverse: [f32; LANES],
+    near_offset: [f32; LANES],
+    far_inverse: [f32; LANES],
+    far_offset: [f32; LANES],
+    /// The rows, as bits.
+    near_row: [f32; LANES],
+    far_row: [f32; LANES],
+}
+
+impl BoxRays {
+    /// Lane `i` is ray `i`: directions, largest magnitude 1 to 2, and origins, both rounded.
+    #[inline(always)]
+    pub fn new<S: Simd>(simd: S, direction: &[S::F; 3], origin: &[S::F; 3]) -> BoxRays {
+        BoxRays {
+            axes: [
+                AxisOfRays::new(simd, direction[0], origin[0], 0),
+                AxisOfRays::new(simd, direction[1], origin[1], 1),
+                AxisOfRays::new(simd, direction[2], origin[2], 2),
+            ],
+        }
+    }
+
+    /// Puts ray `lane` (below 8) into `ray`.
+    #[inline(always)]
+    pub fn get<S: Simd>(&self, simd: S, lane: usize, ray: &mut BoxRay<S>) {
+        let lane = lane % LANES;
+        self.axes[0].get(simd, lane, &mut ray.x);
+        self.axes[1].get(simd, lane, &mut ray.y);
+        self.axes[2].get(simd, lane, &mut ray.z);
+        ray.widen = [TINY; 3];
+    }
+}
+
+impl AxisOfRays {
+    #[inline(always)]
+    fn new<S: Simd>(simd: S, direction: S::F, origin: S::F, axis: usize) -> AxisOfRays {
+        let inverse = simd.div(simd.splat(1.0), direction);
+        let far_inverse = simd.mul(inverse, simd.splat(WIDEN));
+        let (near_offset, far_offset) = offsets(simd, origin, simd.splat(TINY), inverse, far_inverse);
+        let negative = simd.lt(inverse, simd.splat(0.0));
+        let (low, high) =
+            (simd.splat(f32::from_bits(LOW_ROWS[axis])), simd.splat(f32::from_bits(HIGH_ROWS[axis])));
+        AxisOfRays {
+            near_inverse: simd.to_array(inverse),
+            near_offset: simd.to_array(near_offset),
+            far_inverse: simd.to_array(far_inverse),
+            far_offset: simd.to_array(far_offset),
+            near_row: simd.to_array(simd.select(negative, high, low)),
+            far_row: simd.to_array(simd.select(negative, low, high)),
+        }
+    }
+
+    #[inline(always)]
+    fn get<S: Simd>(&self, simd: S, lane: usize, axis: &mut Axis<S>) {
+        axis.near_inverse = simd.splat(self.near_inverse[lane]);
+        axis.near_offset = simd.splat(self.near_offset[lane]);
+        axis.far_inverse = simd.splat(self.far_inverse[lane]);
+        axis.far_offset = simd.splat(self.far_offset[lane]);
+        // As `AxisOfRays::new` put them there.
+        (axis.near_row, axis.far_row) = (self.near_row[lane].to_bits(), self.far_row[lane].to_bits());
+    }
+}
+
 impl<S: Simd> Axis<S> {
     /// `negative` is 1 or 0.
     #[inline(always)]
     fn set_direction(&mut self, simd: S, near_inverse: f32, far_inverse: f32, axis: usize, negative: usize) {
         self.near_inverse = simd.splat(near_inverse);
         self.far_inverse = simd.splat(far_inverse);
-        self.near_row = axis + 3 * negative;
-        self.far_row = axis + 3 - 3 * negative;
+        let rows =
+            if negative == 1 { [HIGH_ROWS[axis], LOW_ROWS[axis]] } else { [LOW_ROWS[axis], HIGH_ROWS[axis]] };
+        [self.near_row, self.far_row] = rows;
+    }
+
+    #[inline(always)]
+    fn set_origin(&mut self, simd: S, origin: S::F, widen: S::F) {
+        (self.near_offset, self.far_offset) =
+            offsets(simd, origin, widen, self.near_inverse, self.far_inverse);
     }
 
     /// Where the ray enters and leaves the slabs of eight boxes.
     #[inline(always)]
     fn planes(&self, simd: S, boxes: &Boxes) -> (S::F, S::F) {
-        // SAFETY: `set_direction` puts only 0 ..= 5 into the rows, and nothing else writes them.
-        let (near, far) = unsafe { (boxes.get_unchecked(self.near_row), boxes.get_unchecked(self.far_row)) };
-        (simd.load(near), simd.load(far))
+        let numbers = boxes.as_flattened();
+        // SAFETY: the rows are eight times 0 ..= 5, and six rows of eight numbers are there.
+        unsafe {
+            (
+                simd.load_unchecked(numbers, self.near_row as usize),
+                simd.load_unchecked(numbers, self.far_row as usize),
+            )
+        }
     }
 
     #[inline(always)]
     fn packed_planes(&self, simd: S, boxes: &PackedBoxes) -> (S::F, S::F) {
-        (boxes.row(simd, self.near_row), boxes.row(simd, self.far_row))
+        // SAFETY: the rows are eight times 0 ..= 5.
+        unsafe { (boxes.row(simd, self.near_row as usize), boxes.row(simd, self.far_row as usize)) }
     }
 
     /// Narrows `near ..= far` to what lies between two planes.
@@ -231,9 +326,9 @@ impl<S: Simd> Axis<S> {
 pub struct PackedBoxes {
     /// First and last cell per axis, in the order of [`Boxes`].
     cells: [[u8; LANES]; 6],
-    /// Side of cell 0 for each row, low rows moved down and high rows up by more than the rounding of unpacking.
-    base: [f32; 6],
-    step: [f32; 6],
+    /// For each row, the side of cell 0, low rows moved down and high rows up by more than the rounding of unpacking; and the
+    /// step from cell to cell. Eight bytes a row, as for `cells`.
+    sides: [[f32; 2]; 6],
     /// Bit `i`: lane `i` holds a box.
     used: u32,
 }
@@ -243,7 +338,7 @@ impl PackedBoxes {
     /// last is not a box. If none is, the whole grid is the only box. Results hold for grids whose sides were computed
     /// with a relative error of at most `2^-22` of the larger corner's magnitude.
     pub fn new(low: [f32; 3], high: [f32; 3], cells: &[[u8; 6]; LANES]) -> PackedBoxes {
-        let mut packed = PackedBoxes { cells: [[0; LANES]; 6], base: [0.0; 6], step: [0.0; 6], used: 0 };
+        let mut packed = PackedBoxes { cells: [[0; LANES]; 6], sides: [[0.0; 2]; 6], used: 0 };
         for (lane, cell) in cells.iter().enumerate() {
             if (0..3).all(|axis| cell[axis] <= cell[axis + 3]) {
                 packed.used |= 1 << lane;
@@ -264,10 +359,8 @@ impl PackedBoxes {
             // extent and of the magnitude; the grid itself by 2^-22 of the magnitude.
             let slack =
                 low[axis].abs().max(high[axis].abs()) * (1.0 / (1u32 << 20) as f32) + f32::MIN_POSITIVE;
-            packed.base[axis] = low[axis] - slack;
-            packed.base[axis + 3] = low[axis] + step + slack;
-            packed.step[axis] = step;
-            packed.step[axis + 3] = step;
+            packed.sides[axis] = [low[axis] - slack, step];
+            packed.sides[axis + 3] = [low[axis] + step + slack, step];
         }
         packed
     }
@@ -278,7 +371,8 @@ impl PackedBoxes {
         for (row, sides) in boxes.iter_mut().enumerate() {
             for (lane, side) in sides.iter_mut().enumerate() {
                 if self.used >> lane & 1 == 1 {
-                    *side = f32::from(self.cells[row][lane]) * self.step[row] + self.base[row];
+                    let [base, step] = self.sides[row];
+                    *side = f32::from(self.cells[row][lane]) * step + base;
                 } else if row >= 3 {
                     *side = f32::NEG_INFINITY;
                 }
@@ -287,9 +381,17 @@ impl PackedBoxes {
         boxes
     }
 
+    /// The sides of row `start / 8`.
+    ///
+    /// # Safety
+    /// `start` is eight times 0 ..= 5.
     #[inline(always)]
-    fn row<S: Simd>(&self, simd: S, row: usize) -> S::F {
-        let cells = simd.load_bytes(&self.cells[row]);
-        simd.mul_add(cells, simd.splat(self.step[row]), simd.splat(self.base[row]))
+    unsafe fn row<S: Simd>(&self, simd: S, start: usize) -> S::F {
+        // SAFETY: rows of both tables are eight bytes long, so that `start` is where the caller's row begins in each.
+        let (cells, [base, step]) = unsafe {
+            let cells = self.cells.as_ptr().byte_add(start);
+            (&*cells, *self.sides.as_ptr().byte_add(start))
+        };
+        simd.mul_add(simd.load_bytes(cells), simd.splat(step), simd.splat(base))
     }
 }

@@ -31,6 +31,10 @@ pub trait Simd: Copy {
     unsafe fn load_unchecked(self, x: &[f32], offset: usize) -> Self::F;
     /// Lane `i` is the number that `x[i]` stands for; exact.
     fn load_bytes(self, x: &[u8; LANES]) -> Self::F;
+    /// Eight numbers, each rounded to nearest.
+    fn narrow(self, low: &[f64; LANES / 2], high: &[f64; LANES / 2]) -> Self::F;
+    /// Lane `i` of result `j` is lane `j` of row `i`.
+    fn transpose(self, rows: &[Self::F; LANES]) -> [Self::F; LANES];
     /// The lanes as an array.
     fn to_array(self, x: Self::F) -> [f32; LANES];
     /// The low four lanes and the high four lanes exchanged.
@@ -127,6 +131,16 @@ impl Simd for Portable {
     #[inline(always)]
     fn load_bytes(self, x: &[u8; LANES]) -> Self::F {
         x.map(f32::from)
+    }
+    #[inline(always)]
+    fn narrow(self, low: &[f64; LANES / 2], high: &[f64; LANES / 2]) -> Self::F {
+        let [a, b, c, d] = *low;
+        let [e, f, g, h] = *high;
+        [a as f32, b as f32, c as f32, d as f32, e as f32, f as f32, g as f32, h as f32]
+    }
+    #[inline(always)]
+    fn transpose(self, rows: &[Self::F; LANES]) -> [Self::F; LANES] {
+        std::array::from_fn(|column| std::array::from_fn(|row| rows[row][column]))
     }
     #[inline(always)]
     fn to_array(self, x: Self::F) -> [f32; LANES] {

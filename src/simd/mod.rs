@@ -14,8 +14,8 @@ mod tests;
 mod triangles;
 mod watertight;
 
-pub use boxes::{BoxRay, Boxes, PackedBoxes, Parallel, ParallelAxes};
+pub use boxes::{BoxRay, BoxRays, Boxes, PackedBoxes, Parallel, ParallelAxes};
 pub use lanes::{LANES, Portable, Simd};
 pub use level::{AnyOperation, Operation, SimdLevel, dispatch};
-pub use triangles::{ErrorBounds, Interval, Packet, TriangleRay};
+pub use triangles::{ErrorBounds, Interval, Packet, PacketRows, TriangleRay};
 pub use watertight::Shear;

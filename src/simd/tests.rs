@@ -66,7 +66,7 @@ impl AnyOperation for Triangles {
                     triangle[2] = [0, 1, 2].map(|axis| a[axis] + (b[axis] - a[axis]) * 1e-4 * random.next());
                 }
             }
-            let mut rows = [0.0f32; 9 * LANES];
+            let mut rows = [0.0f32; 10 * LANES];
             let (mut edge, mut reach) = (0.0f32, 0.0f32);
             for (lane, triangle) in triangles.iter().enumerate() {
                 for (vertex, position) in triangle.iter().enumerate() {
@@ -82,9 +82,9 @@ impl AnyOperation for Triangles {
             let ray = TriangleRay {
                 origin: simd.splat3(origin),
                 direction: simd.splat3(direction),
-                bounds: ErrorBounds::new(sum, reach, 0.0, 0.0),
+                bounds: ErrorBounds::new(simd, sum, reach, 0.0, 0.0),
             };
-            let packet = Packet::from_rows(simd, &rows, 0, LANES, 0);
+            let packet = PacketRows::new(&rows, LANES).packet(simd, 0);
             let t_max = if round % 2 == 0 { f32::INFINITY } else { 2.0 * self.scale };
             let outer = Interval { low: simd.splat(0.0), high: simd.splat(t_max * 1.001) };
             let inner = Interval {
@@ -162,7 +162,7 @@ impl AnyOperation for BoxesOp {
             let lanes = |x: [f32; 3]| simd.load(&[x[0], x[1], x[2], 1.0, 1.0, 1.0, 1.0, 1.0]);
             let mut ray = BoxRay::unset(simd);
             ray.set_direction(simd, lanes(direction), &ParallelAxes::new(wide(direction), 0.0, &parallel));
-            ray.set_origin(simd, lanes(origin));
+            ray.set_origin(simd, &simd.splat3(origin));
             let (near, hits) = ray.test(simd, &boxes, simd.splat(0.0), simd.splat(100.0));
             let near = simd.to_array(near);
             for lane in 0..LANES {
@@ -197,5 +197,60 @@ fn the_box_test_keeps_every_box_that_the_ray_meets() {
     for level in levels() {
         let (kept, dropped) = dispatch(level, BoxesOp);
         assert!(kept > 1000 && dropped > 50_000, "{kept} {dropped}");
+    }
+}
+
+/// Rays prepared eight at a time, and rows turned into columns, against one at a time.
+struct GroupsOp;
+
+impl AnyOperation for GroupsOp {
+    type Output = ();
+
+    fn run<S: Simd>(self, simd: S) {
+        let mut random = Random(11);
+        let parallel = Parallel::new(8);
+        for _ in 0..2000 {
+            let mut rows = [simd.splat(0.0); LANES];
+            let mut rays = [([0.0f32; 3], [0.0f32; 3]); LANES];
+            for (row, ray) in rows.iter_mut().zip(&mut rays) {
+                let direction = random.direction().map(|x| if x == 0.0 { 0.25 } else { x });
+                *ray = (random.vector().map(|x| 4.0 * x), direction);
+                let ([ox, oy, oz], [dx, dy, dz]) = (wide(ray.0), wide(ray.1));
+                *row = simd.narrow(&[ox, oy, oz, dx], &[dy, dz, 0.1, f64::MAX]);
+            }
+            let [ox, oy, oz, dx, dy, dz, tenth, most] = simd.transpose(&rows);
+            assert_eq!(simd.to_array(tenth), [0.1f64 as f32; LANES]);
+            assert_eq!(simd.to_array(most), [f32::INFINITY; LANES]);
+            let group = BoxRays::new(simd, &[dx, dy, dz], &[ox, oy, oz]);
+            let mut boxes: Boxes = [[0.0; LANES]; 6];
+            for axis in 0..3 {
+                for lane in 0..LANES {
+                    boxes[axis][lane] = 2.0 * random.next();
+                    boxes[axis + 3][lane] = boxes[axis][lane] + random.next().abs();
+                }
+            }
+            for (lane, (origin, direction)) in rays.iter().enumerate() {
+                let [x, y, z] = *direction;
+                let mut alone = BoxRay::unset(simd);
+                let lanes = simd.load(&[x, y, z, 1.0, 1.0, 1.0, 1.0, 1.0]);
+                assert!(BoxRay::is_oblique(simd, lanes, &parallel));
+                alone.set_direction(simd, lanes, &ParallelAxes::NONE);
+                alone.set_origin(simd, &simd.splat3(*origin));
+                let mut grouped = BoxRay::unset(simd);
+                group.get(simd, lane, &mut grouped);
+                let [one, other] = [alone, grouped].map(|ray| {
+                    let (near, hits) = ray.test(simd, &boxes, simd.splat(0.0), simd.splat(9.0));
+                    (simd.to_array(near).map(f32::to_bits), hits)
+                });
+                assert_eq!(one, other, "{origin:?} {direction:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn rays_prepared_together_are_those_prepared_alone() {
+    for level in levels() {
+        dispatch(level, GroupsOp);
     }
 }

@@ -29,26 +29,6 @@ pub struct Packet<S: Simd> {
 }
 
 impl<S: Simd> Packet<S> {
-    /// From nine rows (`a.x, a.y, a.z, b.x, ...`) of `stride` numbers each, one after the other from `start` on: lane `i`
-    /// is triangle `first + i`. Lanes past the end of a row hold what follows: mask them.
-    ///
-    /// # Panics
-    /// If `numbers` is shorter than `start + 8 * stride + first + 8`.
-    #[inline(always)]
-    pub fn from_rows(simd: S, numbers: &[f32], start: usize, stride: usize, first: usize) -> Packet<S> {
-        // SAFETY (of the loads): the last row's load reaches furthest, and this puts it inside `numbers`.
-        assert!(start + 8 * stride + first + LANES <= numbers.len());
-        let start = start + first;
-        // SAFETY: as above.
-        unsafe {
-            Packet {
-                a: load_rows(simd, numbers, stride, start),
-                b: load_rows(simd, numbers, stride, start + 3 * stride),
-                c: load_rows(simd, numbers, stride, start + 6 * stride),
-            }
-        }
-    }
-
     /// From vertex indices: lane `i` is triangle `i`; lanes from `triangles.len()` on repeat the first.
     ///
     /// # Panics
@@ -75,17 +55,56 @@ impl<S: Simd> Packet<S> {
     }
 }
 
-/// # Safety
-/// `rows` has at least `start + 2 * stride + 8` numbers.
-#[inline(always)]
-unsafe fn load_rows<S: Simd>(simd: S, rows: &[f32], stride: usize, start: usize) -> [S::F; 3] {
-    // SAFETY: the caller's promise.
-    unsafe {
-        [
-            simd.load_unchecked(rows, start),
-            simd.load_unchecked(rows, start + stride),
-            simd.load_unchecked(rows, start + 2 * stride),
-        ]
+/// Triangles by vertex and axis in nine rows (`a.x, a.y, a.z, b.x, ...`), one after the other.
+#[derive(Clone, Copy)]
+pub struct PacketRows<'n> {
+    /// At least nine rows and seven numbers.
+    numbers: &'n [f32],
+    count: usize,
+}
+
+impl<'n> PacketRows<'n> {
+    /// `count` triangles from the beginning of `numbers` on.
+    ///
+    /// # Panics
+    /// If `numbers` is shorter than nine rows of `count` and seven numbers more, which loads reach but lanes do not show.
+    #[inline(always)]
+    pub fn new(numbers: &'n [f32], count: usize) -> PacketRows<'n> {
+        assert!(9 * count + LANES - 1 <= numbers.len());
+        PacketRows { numbers, count }
+    }
+
+    /// Lane `i` is triangle `first + i`. Lanes past the last triangle hold what follows: mask them.
+    ///
+    /// # Panics
+    /// If `first` is not below the number of triangles.
+    #[inline(always)]
+    pub fn packet<S: Simd>(&self, simd: S, first: usize) -> Packet<S> {
+        assert!(first < self.count);
+        let three = 3 * self.count;
+        // SAFETY: the last row begins after eight, and `first` is at most its last place: eight numbers from there reach
+        // seven past the nine rows, which `new` has found to be there.
+        unsafe {
+            Packet {
+                a: self.load_rows(simd, first),
+                b: self.load_rows(simd, first + three),
+                c: self.load_rows(simd, first + three + three),
+            }
+        }
+    }
+
+    /// # Safety
+    /// `numbers` goes on for two rows and eight numbers from `start`.
+    #[inline(always)]
+    unsafe fn load_rows<S: Simd>(&self, simd: S, start: usize) -> [S::F; 3] {
+        // SAFETY: the caller's promise.
+        unsafe {
+            [
+                simd.load_unchecked(self.numbers, start),
+                simd.load_unchecked(self.numbers, start + self.count),
+                simd.load_unchecked(self.numbers, start + 2 * self.count),
+            ]
+        }
     }
 }
 
@@ -105,41 +124,77 @@ pub struct TriangleRay<S: Simd> {
     pub bounds: ErrorBounds,
 }
 
-/// What the reject test must allow for; independent of the packet but for its longest edge.
+/// What the reject test must allow for: each error is a polynomial in the packet's longest edge, one in each lane.
 #[derive(Clone, Copy, Debug)]
 pub struct ErrorBounds {
-    /// Error of `U` and `V` is at most `uv_edge * S + constant`.
-    uv_edge: f32,
-    uv_constant: f32,
-    /// Error of `det` is at most `S * (det_edge * S + det_constant) + tiny`.
-    det_edge: f32,
-    det_constant: f32,
-    /// Error of `T` is at most `S * (t_edge * S + t_constant) + tiny`.
-    t_edge: f32,
-    t_constant: f32,
-    tiny: f32,
+    quadratic: [f32; LANES],
+    linear: [f32; LANES],
+    constant: [f32; LANES],
 }
 
+// The lanes.
+/// Of `U` and `V`, negative: below this they are certainly negative.
+const OUTSIDE: usize = 0;
+/// Of `U + V` and `det` together.
+const SUM: usize = 1;
+const DET: usize = 2;
+const T: usize = 3;
+/// Of `U` and `V`.
+const UV: usize = 4;
+
+/// How often the error of `U` and `V` for a `det` of certain sign goes into each lane.
+const OF_UV: [f32; LANES] = [-1.0, 2.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
+/// How often that of `det` does. Where the sign of `det` is not certain, the exact `U` and `V` are within its error of 0 on
+/// either side of the computed sign: two more of it in theirs admit them without a separate case.
+const OF_DET: [f32; LANES] = [-2.0, 5.0, 1.0, 0.0, 2.0, 0.0, 0.0, 0.0];
+const OF_T: [f32; LANES] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
+/// How often the loss in the subnormal range does: once in each of the three.
+const OF_TINY: [f32; LANES] = [-3.0, 7.0, 1.0, 1.0, 3.0, 0.0, 0.0, 0.0];
+
 impl ErrorBounds {
+    /// No bounds yet.
+    pub const UNSET: ErrorBounds =
+        ErrorBounds { quadratic: [0.0; LANES], linear: [0.0; LANES], constant: [0.0; LANES] };
+
     /// For a direction with sum of magnitudes `direction_sum`, vertices at most `reach` away from the rounded origin
     /// per axis, an origin rounded by at most `origin_error` and vertices by at most `vertex_error` per axis.
     #[inline(always)]
-    pub fn new(direction_sum: f32, reach: f32, origin_error: f32, vertex_error: f32) -> ErrorBounds {
+    pub fn new<S: Simd>(
+        simd: S,
+        direction_sum: f32,
+        reach: f32,
+        origin_error: f32,
+        vertex_error: f32,
+    ) -> ErrorBounds {
         // Second-order terms and the roundings of these lines.
         const SLACK: f32 = 1.01;
         let d = SLACK * 2.0 * direction_sum;
         let shift = ROUNDINGS * reach + origin_error + vertex_error;
         // Subnormal products lose 2^-149 each, later multiplied by at most `reach` twice.
         let tiny = (1.0 + reach) * (1.0 + reach) * 1e-36;
-        ErrorBounds {
-            uv_edge: d * shift,
-            uv_constant: d * reach * (2.0 * vertex_error) + tiny,
-            det_edge: d * ROUNDINGS,
-            det_constant: d * 4.0 * vertex_error,
-            t_edge: SLACK * 6.0 * shift,
-            t_constant: SLACK * 24.0 * reach * vertex_error,
-            tiny,
+        let [of_uv, of_det, of_t] = [simd.load(&OF_UV), simd.load(&OF_DET), simd.load(&OF_T)];
+        let quadratic =
+            simd.mul_add(simd.splat(d * ROUNDINGS), of_det, simd.mul(simd.splat(SLACK * 6.0 * shift), of_t));
+        let mut linear = simd.mul(simd.splat(d * shift), of_uv);
+        let mut constant = simd.mul(simd.splat(tiny), simd.load(&OF_TINY));
+        if vertex_error != 0.0 {
+            linear = simd.mul_add(simd.splat(d * 4.0 * vertex_error), of_det, linear);
+            linear = simd.mul_add(simd.splat(SLACK * 24.0 * reach * vertex_error), of_t, linear);
+            constant = simd.mul_add(simd.splat(d * reach * (2.0 * vertex_error)), of_uv, constant);
         }
+        ErrorBounds {
+            quadratic: simd.to_array(quadratic),
+            linear: simd.to_array(linear),
+            constant: simd.to_array(constant),
+        }
+    }
+
+    /// The errors for a packet whose edge components are at most `edge` in magnitude.
+    #[inline(always)]
+    fn at<S: Simd>(&self, simd: S, edge: f32) -> [f32; LANES] {
+        let edge = simd.splat(edge);
+        let sum = simd.mul_add(edge, simd.load(&self.quadratic), simd.load(&self.linear));
+        simd.to_array(simd.mul_add(edge, sum, simd.load(&self.constant)))
     }
 }
 
@@ -208,20 +263,13 @@ impl<S: Simd> TriangleRay<S> {
         inner: &Interval<S::F>,
     ) -> (u32, u32) {
         let Weights { u, v, t, det } = self.weights(simd, packet);
-        let bounds = &self.bounds;
-        let det_error = edge * (bounds.det_edge * edge + bounds.det_constant) + bounds.tiny;
-        // Where the sign of det is not certain, the exact U and V are within det_error of 0 on either side of the
-        // computed sign: two more det_error admit them without a separate case.
-        let uv_error = bounds.uv_edge * edge + bounds.uv_constant + 2.0 * det_error;
-        let sum_error = 2.0 * uv_error + det_error;
-        let t_error = edge * (bounds.t_edge * edge + bounds.t_constant) + bounds.tiny;
-
-        let (det_error, t_error) = (simd.splat(det_error), simd.splat(t_error));
-        let outside = simd.splat(-uv_error);
+        let errors = self.bounds.at(simd, edge);
+        let (det_error, t_error) = (simd.splat(errors[DET]), simd.splat(errors[T]));
+        let (outside, sum_error) = (simd.splat(errors[OUTSIDE]), simd.splat(errors[SUM]));
         let uv = simd.add(u, v);
         // Every comparison is true for a lane to reject, so NaN (from overflow) keeps the lane.
         let mut reject = simd.or(simd.lt(u, outside), simd.lt(v, outside));
-        reject = simd.or(reject, simd.lt(simd.add(det, simd.splat(sum_error)), uv));
+        reject = simd.or(reject, simd.lt(simd.add(det, sum_error), uv));
         let det_high = simd.add(det, det_error);
         reject = simd.or(reject, simd.lt(simd.mul_add(interval.high, det_high, t_error), t));
         // Before the beginning: only where the sign of det, and so of T, is certain.
@@ -233,9 +281,9 @@ impl<S: Simd> TriangleRay<S> {
         if !CERTAIN || survivors == 0 {
             return (survivors, 0);
         }
-        let inside = simd.splat(uv_error);
+        let inside = simd.splat(errors[UV]);
         let mut certain = simd.and(simd.lt(inside, u), simd.lt(inside, v));
-        certain = simd.and(certain, simd.lt(simd.add(uv, simd.splat(sum_error)), det));
+        certain = simd.and(certain, simd.lt(simd.add(uv, sum_error), det));
         let begin = simd.mul_add(inner.low, det_high, t_error);
         let end = simd.sub(simd.mul(inner.high, det_low), t_error);
         certain = simd.and(certain, simd.and(simd.lt(begin, t), simd.lt(t, end)));

@@ -119,7 +119,7 @@ fn in_double<S: Simd>(simd: S, open: u32, single: S::F, [p, q]: [&Image<S::F>; 2
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simd::{AnyOperation, SimdLevel, dispatch};
+    use crate::simd::{AnyOperation, PacketRows, SimdLevel, dispatch};
 
     /// The paper's listing for one triangle: `t`, `u`, `v`.
     fn scalar(
@@ -209,13 +209,13 @@ mod tests {
                 let direction = [0, 1, 2].map(|axis| target[axis] - origin[axis]);
                 let high = if round % 7 == 0 { 0.5 } else { f32::MAX };
 
-                let mut rows = [0.0f32; 9 * LANES];
+                let mut rows = [0.0f32; 10 * LANES];
                 for (lane, triangle) in triangles.iter().enumerate() {
                     for (number, x) in triangle.iter().flatten().enumerate() {
                         rows[number * LANES + lane] = *x;
                     }
                 }
-                let packet = Packet::from_rows(simd, &rows, 0, LANES, 0);
+                let packet = PacketRows::new(&rows, LANES).packet(simd, 0);
                 let interval = Interval { low: simd.splat(0.0), high: simd.splat(high) };
                 let shear = Shear::new(simd, direction);
                 let (hits, [t, u, v]) = shear.decide(simd, &packet, simd.splat3(origin), &interval);

@@ -9,7 +9,7 @@
 
 use std::ops::ControlFlow;
 
-use super::closest::{Work, closest_hit};
+use super::closest::{Prepared, Work, closest_hit};
 use super::exact::RayError;
 use super::keep::{Streamed, WaitingHits};
 use super::policy::Policy;
@@ -17,7 +17,6 @@ use super::{Hit, Tracer};
 use crate::access::QueryKind;
 use crate::error::TraceError;
 use crate::geom::Ray;
-use crate::octree::{LocalRay, QueryRay};
 use crate::simd::Simd;
 
 /// Takes the hits of one ray after the other.
@@ -37,7 +36,7 @@ pub(super) trait Receiver {
 pub(super) fn all_hits<S: Simd, P: Policy, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
-    (query, local): (&mut QueryRay, &mut LocalRay<S>),
+    Prepared { group, lane, query, local }: Prepared<'_, S>,
     ray: &Ray,
     waiting: &mut WaitingHits,
     receiver: &mut dyn Receiver,
@@ -47,7 +46,7 @@ pub(super) fn all_hits<S: Simd, P: Policy, const EXPANDED: bool>(
     loop {
         work.pins.begin_query(QueryKind::Closest);
         let mut kept = Streamed { waiting: &mut *waiting, receiver: &mut *receiver, is_over: false };
-        let prepared = (&mut *query, &mut *local);
+        let prepared = Prepared { group, lane, query: &mut *query, local: &mut *local };
         // The pins of a tracer load: it does not stop on the way.
         closest_hit::<S, P, _, EXPANDED>(simd, work, prepared, ray, after, None, &mut kept)?;
         kept.finish();

@@ -1,12 +1,12 @@
 //! Any hit: whether something lies between a ray's ends, in whatever order is found first.
 
-use super::closest::{Work, lanes_in_use};
+use super::closest::{Prepared, Work, lanes_in_use};
 use super::exact::{ExactRay, RayError};
 use super::policy::{Candidate, Policy};
-use super::stack::Stack;
+use super::stack::{Limit, Stack};
 use super::{MaterialSet, Occlusion};
 use crate::geom::Ray;
-use crate::octree::{Child, Fine, LocalRay, QueryRay, TriangleLocation, prepare, splat_interval};
+use crate::octree::{Child, Fine, LocalRay, QueryRay, TriangleLocation, splat_interval};
 use crate::simd::{Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
@@ -20,6 +20,8 @@ struct Any<'a, S: Simd, P: Policy> {
     outer: Interval<S::F>,
     /// Lies inside the ray's interval.
     inner: Interval<S::F>,
+    /// Whether blocks have the frame of the coarse tree.
+    shares_frame: bool,
     query: &'a QueryRay,
     ray: &'a Ray,
     ignore: Option<&'a MaterialSet>,
@@ -72,23 +74,29 @@ impl Unvisited {
 pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
-    (query, local): (&mut QueryRay, &mut LocalRay<S>),
+    Prepared { group, lane, query, local }: Prepared<'_, S>,
     ray: &Ray,
     ignore: Option<&MaterialSet>,
     unvisited: &mut Unvisited,
     is_resumed: bool,
 ) -> Result<Option<Occlusion>, RayError> {
     let coarse = &work.octree.coarse;
-    if let Some(reason) = prepare(simd, ray, &work.octree.space, query, local) {
+    if let Some(reason) = group.prepare(simd, lane, ray, &work.octree.space, query, local) {
         return Err(RayError::Invalid(reason));
     }
-    let high = query.local_high(ray.t_max);
-    let (inner_low, inner_high) = query.local_inner(ray.t_min, ray.t_max);
+    let (outer, inner) = if query.is_plain() {
+        (group.outer(simd, lane).0, group.inner(simd, lane))
+    } else {
+        let (low, high) = query.local_inner(ray.t_min, ray.t_max);
+        let outer = splat_interval(simd, query.local_low(ray.t_min), query.local_high(ray.t_max));
+        (outer, splat_interval(simd, low, high))
+    };
     let mut any: Any<'_, S, P> = Any {
         prepared: P::prepare(simd, &local.triangles),
         local,
-        outer: splat_interval(simd, query.local_low(ray.t_min), high),
-        inner: splat_interval(simd, inner_low, inner_high),
+        outer,
+        inner,
+        shares_frame: work.octree.space.is_shared,
         query,
         ray,
         ignore,
@@ -129,7 +137,9 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
                         if simd.enter(visit) {
                             return Ok(Some(Occlusion::Blocked));
                         }
-                        any.local.enter_frame(simd, any.query, &coarse.frame);
+                        if !any.shares_frame {
+                            any.local.enter_frame(simd, any.query, &coarse.frame);
+                        }
                     }
                     None => {
                         work.counters.box_tests -= 1;
@@ -165,7 +175,7 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
                 None => break,
             }
         }
-        child = stack.pop(f32::INFINITY);
+        child = stack.pop(Limit::NONE);
         if child == Child::NONE {
             break;
         }
@@ -197,9 +207,11 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
     fn run(self, simd: S) -> bool {
         let VisitBlock { any, slot, hits, mut stack, exact, counters } = self;
         let fine = Fine::new(slot);
-        any.local.enter_frame(simd, any.query, &fine.frame());
+        if !any.shares_frame {
+            any.local.enter_frame(simd, any.query, &fine.frame());
+        }
         let (low, high) = fine.extents();
-        any.local.set_reach(any.query, low, high, fine.vertex_error());
+        any.local.set_reach(simd, any.query, low, high, fine.vertex_error());
         let (groups, used) = fine.groups();
         let mut child = match hits & used {
             0 => return false,
@@ -213,13 +225,13 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
                 if any.visit_leaf::<EXPANDED>(simd, &fine, child, exact, counters) {
                     return true;
                 }
-                child = stack.pop(f32::INFINITY);
+                child = stack.pop(Limit::NONE);
             }
             let node = fine.node(child);
             counters.box_tests += 1;
             let (_, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
             child = match hits {
-                0 => stack.pop(f32::INFINITY),
+                0 => stack.pop(Limit::NONE),
                 _ => stack.push_unsorted(&node.children, hits),
             };
         }
@@ -239,9 +251,10 @@ impl<S: Simd, P: Policy> Any<'_, S, P> {
         let count = leaf.triangle_count();
         let edge = fine.edge(leaf);
         counters.triangle_tests += count as u64;
+        let triangles_of_leaf = fine.leaf::<EXPANDED>(leaf);
         let mut first = 0;
         while first < count {
-            let packet = fine.packet::<S, EXPANDED>(simd, leaf, first);
+            let packet = triangles_of_leaf.packet(simd, first);
             let lanes = lanes_in_use(count - first);
             // Lanes that may be hit, and those of them that need no decision.
             let triangles = &self.local.triangles;
@@ -262,8 +275,17 @@ impl<S: Simd, P: Policy> Any<'_, S, P> {
                 let i = possible.trailing_zeros();
                 possible &= possible - 1;
                 let at = TriangleLocation { leaf, lane: first + i as usize };
-                let is_certain = certain >> i & 1 == 1;
-                if self.blocks(simd, fine, at, (i as usize, &seen, is_certain), exact, counters) {
+                let settle = Settle {
+                    any: &mut *self,
+                    fine,
+                    at,
+                    lane: i as usize,
+                    seen: &seen,
+                    is_certain: certain >> i & 1 == 1,
+                    exact,
+                    counters,
+                };
+                if simd.enter(settle) {
                     return true;
                 }
             }
@@ -271,34 +293,44 @@ impl<S: Simd, P: Policy> Any<'_, S, P> {
         }
         false
     }
+}
 
-    /// Whether a triangle that may be hit is hit and is not ignored.
+/// Whether a triangle that may be hit is hit and is not ignored. A function of its own: seldom needed, and what it takes
+/// would be made ready for every leaf.
+struct Settle<'v, 'r, S: Simd, P: Policy> {
+    any: &'v mut Any<'r, S, P>,
+    fine: &'v Fine<'v>,
+    at: TriangleLocation,
+    /// Its place in the packet.
+    lane: usize,
+    seen: &'v P::Seen<S>,
+    is_certain: bool,
+    exact: &'v mut ExactRay,
+    counters: &'v mut TraceCounters,
+}
+
+impl<S: Simd, P: Policy> Operation<S> for Settle<'_, '_, S, P> {
+    type Output = bool;
+
     #[inline(always)]
-    fn blocks(
-        &mut self,
-        simd: S,
-        fine: &Fine<'_>,
-        at: TriangleLocation,
-        (lane, seen, is_certain): (usize, &P::Seen<S>, bool),
-        exact: &mut ExactRay,
-        counters: &mut TraceCounters,
-    ) -> bool {
-        let ignored = self.ignore.is_some_and(|set| set.contains(fine.material(at)));
-        if ignored && self.filtered {
+    fn run(self, simd: S) -> bool {
+        let Settle { any, fine, at, lane, seen, is_certain, exact, counters } = self;
+        let ignored = any.ignore.is_some_and(|set| set.contains(fine.material(at)));
+        if ignored && any.filtered {
             return false;
         }
         let hit = is_certain || {
             let candidate = Candidate {
                 lane,
                 vertices: &fine.exact_vertices(at),
-                ray: self.ray,
-                query: self.query,
-                t_min: self.ray.t_min,
-                t_max: self.ray.t_max,
+                ray: any.ray,
+                query: any.query,
+                t_min: any.ray.t_min,
+                t_max: any.ray.t_max,
             };
             P::settle(simd, seen, &candidate, exact, counters).is_some()
         };
-        self.filtered |= hit && ignored;
+        any.filtered |= hit && ignored;
         hit && !ignored
     }
 }

@@ -5,9 +5,11 @@ use super::exact::{ExactRay, RayError};
 use super::keep::Keep;
 use super::load::{LoadScratch, Pins};
 use super::policy::{Candidate, Policy};
-use super::stack::{Entries, Stack};
+use super::stack::{Entries, Limit, Stack};
 use crate::geom::{Ray, TriangleHit};
-use crate::octree::{Child, Fine, LazyOctree, LocalRay, QueryRay, TriangleLocation, prepare, splat_interval};
+use crate::octree::{
+    Child, Fine, LazyOctree, LocalRay, QueryRay, RayGroup, TriangleLocation, splat_interval,
+};
 use crate::simd::{Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::{BlockId, TriangleId};
@@ -22,14 +24,24 @@ pub(super) struct Work<'t, 'o> {
     pub counters: &'t mut TraceCounters,
 }
 
+/// A ray of a group, and what it is prepared into.
+pub(super) struct Prepared<'p, S: Simd> {
+    pub group: &'p RayGroup,
+    pub lane: usize,
+    pub query: &'p mut QueryRay,
+    pub local: &'p mut LocalRay<S>,
+}
+
 /// One closest-hit query on its way.
 struct Closest<'r, S: Simd, P: Policy, K: Keep> {
     local: &'r mut LocalRay<S>,
     /// What the policy needs of the ray.
     prepared: P::Ray<S>,
     interval: Interval<S::F>,
-    /// `interval.high` as a number.
-    high: f32,
+    /// What waits beyond `interval.high` need not be visited.
+    limit: Limit,
+    /// Whether blocks have the frame of the coarse tree.
+    shares_frame: bool,
     query: &'r QueryRay,
     ray: &'r Ray,
     /// Where hits may begin: `ray.t_min` or the `t` in `after`.
@@ -48,14 +60,14 @@ struct Closest<'r, S: Simd, P: Policy, K: Keep> {
 pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
-    (query, local): (&mut QueryRay, &mut LocalRay<S>),
+    Prepared { group, lane, query, local }: Prepared<'_, S>,
     ray: &Ray,
     after: Option<(f64, TriangleId)>,
     from: Option<BlockId>,
     kept: &mut K,
 ) -> Result<Option<BlockId>, RayError> {
     let coarse = &work.octree.coarse;
-    if let Some(reason) = prepare(simd, ray, &work.octree.space, query, local) {
+    if let Some(reason) = group.prepare(simd, lane, ray, &work.octree.space, query, local) {
         return Err(RayError::Invalid(reason));
     }
     // Written so that NaN changes nothing.
@@ -69,12 +81,18 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
     // As `offer` left them.
     let end = kept.end();
     let t_max = end.filter(|end| *end < f64::MAX).unwrap_or(ray.t_max);
-    let high = query.local_high(end.unwrap_or(ray.t_max));
+    let (interval, high) = if query.is_plain() && after.is_none() && end.is_none() {
+        group.outer(simd, lane)
+    } else {
+        let high = query.local_high(end.unwrap_or(ray.t_max));
+        (splat_interval(simd, query.local_low(t_min), high), high)
+    };
     let mut closest: Closest<'_, S, P, K> = Closest {
         prepared: P::prepare(simd, &local.triangles),
         local,
-        interval: splat_interval(simd, query.local_low(t_min), high),
-        high,
+        interval,
+        limit: Limit::new(high),
+        shares_frame: work.octree.space.is_shared,
         query,
         ray,
         t_min,
@@ -88,8 +106,9 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
         None => Child::COARSE_ROOT,
         Some(block) => stack.return_to(simd, coarse, block, &closest.local.boxes, &closest.interval),
     };
-    loop {
-        work.counters.box_tests += 1;
+    let mut box_tests = 0;
+    let stopped = loop {
+        box_tests += 1;
         let Closest { local, interval, .. } = &closest;
         if child.is_leaf() {
             let block = child.block_index();
@@ -97,13 +116,13 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
             let (near, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
                 if !closest.kept.pass(|| stack.least_near(simd, near, hits), closest.query) {
-                    return Ok(None);
+                    break None;
                 }
                 let Some(slot) = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?
                 else {
                     // This test is made again.
-                    work.counters.box_tests -= 1;
-                    return Ok(Some(BlockId(block)));
+                    box_tests -= 1;
+                    break Some(BlockId(block));
                 };
                 work.counters.block_visits += 1;
                 let visit = VisitBlock::<S, P, K, EXPANDED> {
@@ -116,7 +135,9 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
                     counters: work.counters,
                 };
                 simd.enter(visit);
-                closest.local.enter_frame(simd, closest.query, &coarse.frame);
+                if !closest.shares_frame {
+                    closest.local.enter_frame(simd, closest.query, &coarse.frame);
+                }
             }
         } else {
             let node = &coarse.nodes[child.node_index()];
@@ -126,11 +147,13 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
                 continue;
             }
         }
-        child = stack.pop(closest.high);
+        child = stack.pop(closest.limit);
         if child == Child::NONE {
-            return Ok(None);
+            break None;
         }
-    }
+    };
+    work.counters.box_tests += box_tests;
+    Ok(stopped)
 }
 
 /// The traversal of one block. A function of its own, so that the registers are its own.
@@ -155,9 +178,11 @@ impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
     fn run(self, simd: S) {
         let VisitBlock { closest, slot, near, hits, mut stack, exact, counters } = self;
         let fine = Fine::new(slot);
-        closest.local.enter_frame(simd, closest.query, &fine.frame());
+        if !closest.shares_frame {
+            closest.local.enter_frame(simd, closest.query, &fine.frame());
+        }
         let (low, high) = fine.extents();
-        closest.local.set_reach(closest.query, low, high, fine.vertex_error());
+        closest.local.set_reach(simd, closest.query, low, high, fine.vertex_error());
         let mut box_tests = 0;
         let (groups, used) = fine.groups();
         let mut child = match hits & used {
@@ -171,16 +196,50 @@ impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
                     return;
                 }
                 closest.visit_leaf::<EXPANDED>(simd, &fine, child, exact, counters);
-                child = stack.pop(closest.high);
+                child = stack.pop(closest.limit);
             }
             let node = fine.node(child);
             box_tests += 1;
             let boxes = &closest.local.boxes;
             let (near, hits) = boxes.test(simd, &node.bounds, closest.interval.low, closest.interval.high);
             child = match hits {
-                0 => stack.pop(closest.high),
+                0 => stack.pop(closest.limit),
                 _ => stack.push_sorted(simd, &node.children, near, hits),
             };
+        }
+    }
+}
+
+/// What becomes of a triangle that a kernel let through. A function of its own: seldom needed, and what it takes would be
+/// made ready for every leaf.
+struct Settle<'v, 'r, S: Simd, P: Policy, K: Keep> {
+    closest: &'v mut Closest<'r, S, P, K>,
+    fine: &'v Fine<'v>,
+    at: TriangleLocation,
+    /// Its place in the packet.
+    lane: usize,
+    seen: &'v P::Seen<S>,
+    exact: &'v mut ExactRay,
+    counters: &'v mut TraceCounters,
+}
+
+impl<S: Simd, P: Policy, K: Keep> Operation<S> for Settle<'_, '_, S, P, K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, simd: S) {
+        let Settle { closest, fine, at, lane, seen, exact, counters } = self;
+        let vertices = fine.exact_vertices(at);
+        let candidate = Candidate {
+            lane,
+            vertices: &vertices,
+            ray: closest.ray,
+            query: closest.query,
+            t_min: closest.t_min,
+            t_max: closest.t_max,
+        };
+        if let Some(hit) = P::settle(simd, seen, &candidate, exact, counters) {
+            closest.offer(simd, fine, at, hit, vertices);
         }
     }
 }
@@ -198,9 +257,10 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
         let count = leaf.triangle_count();
         let edge = fine.edge(leaf);
         counters.triangle_tests += count as u64;
+        let triangles_of_leaf = fine.leaf::<EXPANDED>(leaf);
         let mut first = 0;
         while first < count {
-            let packet = fine.packet::<S, EXPANDED>(simd, leaf, first);
+            let packet = triangles_of_leaf.packet(simd, first);
             let lanes = lanes_in_use(count - first);
             let triangles = &self.local.triangles;
             let (candidates, seen) =
@@ -210,18 +270,7 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
                 let lane = candidates.trailing_zeros() as usize;
                 candidates &= candidates - 1;
                 let at = TriangleLocation { leaf, lane: first + lane };
-                let vertices = fine.exact_vertices(at);
-                let candidate = Candidate {
-                    lane,
-                    vertices: &vertices,
-                    ray: self.ray,
-                    query: self.query,
-                    t_min: self.t_min,
-                    t_max: self.t_max,
-                };
-                if let Some(hit) = P::settle(simd, &seen, &candidate, exact, counters) {
-                    self.offer(simd, fine, at, hit, vertices);
-                }
+                simd.enter(Settle { closest: &mut *self, fine, at, lane, seen: &seen, exact, counters });
             }
             first += LANES;
         }
@@ -251,13 +300,14 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
         if end < f64::MAX {
             self.t_max = end;
         }
-        self.high = self.query.local_high(end);
-        self.interval.high = simd.splat(self.high);
+        let high = self.query.local_high(end);
+        self.limit = Limit::new(high);
+        self.interval.high = simd.splat(high);
     }
 }
 
-/// A bit for each of the first `count` lanes (one at least).
+/// A bit for each of the first `count` lanes.
 #[inline(always)]
 pub(super) fn lanes_in_use(count: usize) -> u32 {
-    0xff >> (LANES - count.min(LANES))
+    !(u64::MAX << count.min(63)) as u32
 }

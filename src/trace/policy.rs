@@ -102,15 +102,16 @@ impl Policy for Certified {
 
     #[inline(always)]
     fn settle<S: Simd>(
-        _: S,
+        simd: S,
         (): &(),
         candidate: &Candidate<'_>,
         exact: &mut ExactRay,
         counters: &mut TraceCounters,
     ) -> Option<TriangleHit> {
-        let Candidate { ray, vertices, t_min, t_max, .. } = *candidate;
+        let Candidate { ray, query, vertices, t_min, t_max, .. } = *candidate;
         counters.decisions += 1;
-        exact.decide(ray, t_min, t_max, vertices, &mut counters.exact_fallbacks)
+        let ray = (ray, query.is_plain());
+        exact.decide(simd, ray, (t_min, t_max), vertices, &mut counters.exact_fallbacks)
     }
 }
 
@@ -144,10 +145,10 @@ impl Policy for Exact {
         exact: &mut ExactRay,
         counters: &mut TraceCounters,
     ) -> Option<TriangleHit> {
-        let Candidate { ray, vertices, t_min, t_max, .. } = *candidate;
+        let Candidate { ray, query, vertices, t_min, t_max, .. } = *candidate;
         counters.decisions += 1;
         counters.exact_fallbacks += 1;
-        exact.frame(ray, t_min, t_max).intersect_exactly(vertices)
+        exact.frame(ray, query.is_plain(), t_min, t_max).intersect_exactly(vertices)
     }
 }
 

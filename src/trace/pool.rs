@@ -1,7 +1,7 @@
 //! [`RayPool`]: queries that do not wait for blocks while other rays can run.
 
 use super::any::{Unvisited, occlusion};
-use super::closest::closest_hit;
+use super::closest::{Prepared, closest_hit};
 use super::policy::Policy;
 use super::suspended::{Query, SuspendedRays};
 use super::tracer::{Query as Kernel, enter};
@@ -9,7 +9,7 @@ use super::{Answers, AnyRequest, ClosestRequest, MaterialSet, OnMissing, Tracer}
 use crate::access::QueryKind;
 use crate::budget::Reservation;
 use crate::error::TraceError;
-use crate::octree::{LazyOctree, LocalRay, QueryRay};
+use crate::octree::{LazyOctree, LocalRay, QueryRay, RayGroup};
 use crate::simd::{AnyOperation, Simd, dispatch};
 use crate::stats::TraceCounters;
 use crate::units::{BlockId, Bytes};
@@ -283,9 +283,10 @@ impl Kernel for Closest<'_, '_> {
             }
             work.pins.begin_query(QueryKind::Closest);
             work.pins.loads = loads && place.is_none();
+            let group = RayGroup::new(simd, std::slice::from_ref(&ray), &work.octree.space);
             let last = answers.hits.len() - 1;
             loop {
-                let prepared = (&mut query, &mut local);
+                let prepared = Prepared { group: &group, lane: 0, query: &mut query, local: &mut local };
                 let best = &mut answers.hits[last].1;
                 let stopped =
                     closest_hit::<S, P, _, EXPANDED>(simd, &mut work, prepared, &ray, after, from, best)
@@ -357,8 +358,9 @@ impl Kernel for Any<'_, '_> {
             }
             work.pins.begin_query(QueryKind::Occlusion);
             work.pins.loads = loads && place.is_none();
+            let group = RayGroup::new(simd, std::slice::from_ref(&ray), &work.octree.space);
             loop {
-                let prepared = (&mut query, &mut local);
+                let prepared = Prepared { group: &group, lane: 0, query: &mut query, local: &mut local };
                 let answer = occlusion::<S, P, EXPANDED>(
                     simd,
                     &mut work,

@@ -26,6 +26,21 @@ impl Entry {
     }
 }
 
+/// The last entry that still matters to a query.
+#[derive(Clone, Copy)]
+pub(super) struct Limit(Entry);
+
+impl Limit {
+    /// All entries do.
+    pub const NONE: Limit = Limit(Entry(u64::MAX));
+
+    /// Those that begin at `high` (not negative) or before do.
+    #[inline(always)]
+    pub fn new(high: f32) -> Limit {
+        Limit(Entry::new(high, Child::NONE))
+    }
+}
+
 /// Room for the children that wait in both levels.
 pub(super) type Entries = [Entry; STACK_MAX];
 
@@ -64,14 +79,14 @@ impl<'e> Stack<'e> {
         self.len += 1;
     }
 
-    /// The last child that begins at `high` (not negative) or before; [`Child::NONE`] at the end.
+    /// The last child within `limit`; [`Child::NONE`] at the end.
     #[inline(always)]
-    pub fn pop(&mut self, high: f32) -> Child {
+    pub fn pop(&mut self, limit: Limit) -> Child {
         loop {
             // The end is never passed: it begins at 0.
             self.len -= 1;
             let entry = self.entries[self.len];
-            if entry.near() <= high {
+            if entry <= limit.0 {
                 return entry.child();
             }
         }

@@ -4,7 +4,7 @@ use std::marker::PhantomData;
 
 use super::all::{Receiver, all_hits};
 use super::any::{Unvisited, occlusion};
-use super::closest::{Work, closest_hit};
+use super::closest::{Prepared, Work, closest_hit};
 use super::crossings::PendingCrossings;
 use super::exact::ExactRay;
 use super::keep::WaitingHits;
@@ -16,8 +16,8 @@ use crate::access::QueryKind;
 use crate::budget::Reservation;
 use crate::error::TraceError;
 use crate::geom::Ray;
-use crate::octree::{LazyOctree, LocalRay, QueryRay, Tier, TracerPermit, tracer_bytes};
-use crate::simd::{AnyOperation, Operation, Simd, dispatch};
+use crate::octree::{LazyOctree, LocalRay, QueryRay, RayGroup, Tier, TracerPermit, tracer_bytes};
+use crate::simd::{AnyOperation, LANES, Operation, Simd, dispatch};
 use crate::stats::TraceCounters;
 use crate::units::TriangleId;
 
@@ -191,14 +191,19 @@ impl Query for ClosestHits<'_, '_> {
     fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
-        for (index, (ray, hit)) in self.rays.iter().zip(self.hits).enumerate() {
-            work.counters.rays += 1;
-            work.pins.begin_query(QueryKind::Closest);
-            let after = self.after.get(index).copied();
-            *hit = None;
-            let prepared = (&mut query, &mut local);
-            closest_hit::<S, P, _, EXPANDED>(simd, &mut work, prepared, ray, after, None, hit)
-                .map_err(|error| error.at(index))?;
+        let mut index = 0;
+        for (rays, hits) in self.rays.chunks(LANES).zip(self.hits.chunks_mut(LANES)) {
+            let group = RayGroup::new(simd, rays, &work.octree.space);
+            for (lane, (ray, hit)) in rays.iter().zip(hits).enumerate() {
+                work.counters.rays += 1;
+                work.pins.begin_query(QueryKind::Closest);
+                let after = self.after.get(index).copied();
+                *hit = None;
+                let prepared = Prepared { group: &group, lane, query: &mut query, local: &mut local };
+                closest_hit::<S, P, _, EXPANDED>(simd, &mut work, prepared, ray, after, None, hit)
+                    .map_err(|error| error.at(index))?;
+                index += 1;
+            }
         }
         Ok(())
     }
@@ -226,16 +231,21 @@ impl Query for Occlusions<'_, '_> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
         let mut unvisited = Unvisited::UNSET;
-        for (index, (ray, out)) in self.rays.iter().zip(self.out).enumerate() {
-            work.counters.rays += 1;
-            work.pins.begin_query(QueryKind::Occlusion);
-            let prepared = (&mut query, &mut local);
-            let rest = &mut unvisited;
-            let answer =
-                occlusion::<S, P, EXPANDED>(simd, &mut work, prepared, ray, self.ignore, rest, false)
-                    .map_err(|error| error.at(index))?;
-            // The pins load, so that there is always an answer.
-            *out = answer.unwrap_or_default();
+        let mut index = 0;
+        for (rays, out) in self.rays.chunks(LANES).zip(self.out.chunks_mut(LANES)) {
+            let group = RayGroup::new(simd, rays, &work.octree.space);
+            for (lane, (ray, out)) in rays.iter().zip(out).enumerate() {
+                work.counters.rays += 1;
+                work.pins.begin_query(QueryKind::Occlusion);
+                let prepared = Prepared { group: &group, lane, query: &mut query, local: &mut local };
+                let rest = &mut unvisited;
+                let answer =
+                    occlusion::<S, P, EXPANDED>(simd, &mut work, prepared, ray, self.ignore, rest, false)
+                        .map_err(|error| error.at(index))?;
+                // The pins load, so that there is always an answer.
+                *out = answer.unwrap_or_default();
+                index += 1;
+            }
         }
         Ok(())
     }
@@ -265,7 +275,8 @@ impl Query for AllHits<'_, '_> {
         for (index, ray) in rays.iter().enumerate() {
             work.counters.rays += 1;
             receiver.begin(index, ray);
-            let prepared = (&mut query, &mut local);
+            let group = RayGroup::new(simd, std::slice::from_ref(ray), &work.octree.space);
+            let prepared = Prepared { group: &group, lane: 0, query: &mut query, local: &mut local };
             all_hits::<S, P, EXPANDED>(simd, &mut work, prepared, ray, waiting, receiver)
                 .map_err(|error| error.at(index))?;
         }
