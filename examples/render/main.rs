@@ -17,12 +17,14 @@ use common::arguments::{self, Arguments};
 use common::interrupt::Interrupt;
 use common::memory_log::MemoryLog;
 use common::progress::Meter;
+use compiled::Origin;
 use options::{Command, Options, SourceKind};
 use outcrop::access::{AccessTrace, MissRatioCurve};
+use outcrop::compile::Control;
 use outcrop::free_memory::FollowFreeMemory;
 use outcrop::model::Model;
 use outcrop::octree::{LazyOctree, OctreeOptions};
-use outcrop::render::{Control, Outcome, RenderSettings, RenderedImage, Renderer, Threads};
+use outcrop::render::{Outcome, RenderSettings, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
 use outcrop::{BlockSource, MemoryBudget};
@@ -79,9 +81,16 @@ fn job(
     if options.compile_only {
         return Ok(ExitCode::SUCCESS);
     }
-    let source = open(options, &compiled.path)?;
+    let source = match &compiled.origin {
+        Origin::File(path) => open(options, path)?,
+        Origin::Lazy(model) => Arc::clone(model) as Arc<dyn BlockSource>,
+    };
     let image = render(options, source, budget, interrupt, &mut meter, summary)?;
     meter.finish();
+    if let Origin::Lazy(model) = &compiled.origin {
+        let report = model.is_complete().then(|| model.finish(&mut |_| Control::Continue)).transpose()?;
+        summary.lazy(&model.report(), report.map(|_| model.output()));
+    }
     image.film.write(&options.output)?;
     summary.rendered(&image, &options.output);
     Ok(match image.report.outcome {

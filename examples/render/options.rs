@@ -51,6 +51,7 @@ compiled file
     --compile-only          stop after compiling; -o then names the compiled file
     --compiled FILE         keep the compiled file there instead of beside the model
     --recompile             compile even if the compiled file is up to date
+    --lazy                  compile only what rays reach, and keep it in FILE.outcrop.working for the next time
     --block-bytes BYTES     decoded size of a block, 4KiB to 256KiB (64KiB)
     --codec KIND            raw, lzo or lz4 (lz4)
     --precision KIND        auto, float32, or the exponent E of a lattice of spacing 2^E (auto)
@@ -103,6 +104,7 @@ pub struct Options {
     pub compile_only: bool,
     pub compiled: Option<PathBuf>,
     pub recompile: bool,
+    pub lazy: bool,
     pub block_bytes: Option<u32>,
     pub codec: Option<Codec>,
     pub precision: Option<PrecisionChoice>,
@@ -168,6 +170,7 @@ impl Options {
                 "--compile-only" => options.compile_only = true,
                 "--compiled" => options.compiled = Some(arguments.path()?),
                 "--recompile" => options.recompile = true,
+                "--lazy" => options.lazy = true,
                 "--block-bytes" => {
                     let bytes: Bytes = arguments.value()?;
                     options.block_bytes = Some(u32::try_from(bytes.0)?);
@@ -277,6 +280,7 @@ impl Default for Options {
             compile_only: false,
             compiled: None,
             recompile: false,
+            lazy: false,
             block_bytes: None,
             codec: None,
             precision: None,

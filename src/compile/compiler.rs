@@ -31,9 +31,7 @@ use crate::import::{MeshSink, VertexBatch};
 use crate::model::{MaterialRecord, SourceRecord};
 use crate::units::{Bytes, MaterialId};
 
-/// Vertices per bucket: two triangles per vertex make 64 k triangles.
-const BUCKET_VERTICES: u64 = 32 << 10;
-/// Triangles per bucket where their number is known before the buckets are made.
+/// Triangles per bucket, at two per vertex where their number is not known before the buckets are made.
 const BUCKET_TRIANGLES: u64 = 64 << 10;
 /// Small batches are gathered up to this many triangles.
 const QUEUE_TRIANGLES: usize = 4096;
@@ -86,6 +84,38 @@ pub struct Compiler<'p> {
     parse: Meter,
     scatter: Meter,
     grid_memory: Option<Reservation>,
+    /// About how many triangles go into a bucket.
+    bucket_triangles: u64,
+}
+
+/// The buckets of a mesh that is complete, and what is known by then.
+pub(super) struct Settled<P: Point> {
+    pub(super) scattered: Scattered<P>,
+    /// Has the memory of the last bucket that was parted.
+    pub(super) worker: Worker<P>,
+    pub(super) settings: BlockSettings,
+    pub(super) decision: Decision,
+    pub(super) error_bound: f64,
+    /// Bytes that vertices and faces left on disk.
+    pub(super) spill_bytes: u64,
+    crew_time: Meter,
+}
+
+/// What becomes of the buckets.
+pub(super) trait Ending {
+    type Output;
+    fn end<P: Point>(self, compiler: Compiler<'_>, settled: Settled<P>)
+    -> Result<Self::Output, CompileError>;
+}
+
+/// What a compiler knows beside its buckets.
+pub(super) struct Remains {
+    pub(super) budget: MemoryBudget,
+    pub(super) quota: DiskQuota,
+    pub(super) options: CompileOptions,
+    pub(super) source: SourceRecord,
+    pub(super) materials: Vec<MaterialRecord>,
+    pub(super) seconds: PhaseSeconds,
 }
 
 /// The time of an attempt that came to nothing.
@@ -186,6 +216,7 @@ impl<'p> Compiler<'p> {
             parse: Meter::default(),
             scatter: Meter::default(),
             grid_memory: Some(grid_memory),
+            bucket_triangles: BUCKET_TRIANGLES,
             options,
         })
     }
@@ -193,6 +224,11 @@ impl<'p> Compiler<'p> {
     /// Records what the mesh is read from, so that a change can be noticed later.
     pub fn set_source(&mut self, source: SourceRecord) {
         self.source = source;
+    }
+
+    /// About how many triangles shall go into a bucket.
+    pub(super) fn set_bucket_triangles(&mut self, count: u64) {
+        self.bucket_triangles = count.max(1);
     }
 
     /// Whether `Auto` turned out to need more of the vertices than was kept, and what; asked after an error.
@@ -320,8 +356,8 @@ impl<'p> Compiler<'p> {
         let known = faces.count();
         let vertices = self.store.len() as u64;
         let vertices_max = match known {
-            0 => BUCKET_VERTICES,
-            known => (BUCKET_TRIANGLES as f64 * vertices as f64 / known as f64).ceil() as u64,
+            0 => self.bucket_triangles.div_ceil(2),
+            known => (self.bucket_triangles as f64 * vertices as f64 / known as f64).ceil() as u64,
         };
         let map = Arc::new(grid.into_buckets(vertices_max));
         if precision == Precision::Float32 {
@@ -395,7 +431,12 @@ impl<'p> Compiler<'p> {
     ///
     /// # Errors
     /// [`CompileError`]; no file is left then, and one that had the name before is as it was.
-    pub fn finish(mut self) -> Result<CompileReport, CompileError> {
+    pub fn finish(self) -> Result<CompileReport, CompileError> {
+        self.end(Publish)
+    }
+
+    /// Scatters what is left and hands the buckets on.
+    pub(super) fn end<E: Ending>(mut self, ending: E) -> Result<E::Output, CompileError> {
         self.drain()?;
         self.left = self.parse.add_since(self.left);
         if self.triangles == 0 {
@@ -421,23 +462,26 @@ impl<'p> Compiler<'p> {
         match std::mem::replace(&mut self.stage, Stage::Done) {
             Stage::Narrow(placer) => {
                 let (scattered, crew_time) = placer.finish(&mut self.store, &AsFloat32)?;
-                self.finish_blocks(scattered, crew_time, decision)
+                let settled = self.settle(scattered, crew_time, decision)?;
+                ending.end(self, settled)
             }
             Stage::Lattice(placer, form) => {
                 let (scattered, crew_time) = placer.finish(&mut self.store, &form)?;
-                self.finish_blocks(scattered, crew_time, decision)
+                let settled = self.settle(scattered, crew_time, decision)?;
+                ending.end(self, settled)
             }
             Stage::Waiting(_) | Stage::Done => Err(CompileError::Empty),
         }
     }
 
-    fn finish_blocks<P: Point>(
-        mut self,
+    /// Frees the vertices, and parts buckets that came out too large.
+    fn settle<P: Point>(
+        &mut self,
         mut scattered: Scattered<P>,
         crew_time: Meter,
         decision: Decision,
-    ) -> Result<CompileReport, CompileError> {
-        let mut spill_bytes = self.spill_bytes + self.vertices_read().spill_bytes();
+    ) -> Result<Settled<P>, CompileError> {
+        let spill_bytes = self.spill_bytes + self.vertices_read().spill_bytes();
         let error_bound = match decision.precision {
             Precision::Float32 => self.vertices_read().move_max(),
             Precision::Lattice(lattice) => lattice.error_bound(),
@@ -449,10 +493,38 @@ impl<'p> Compiler<'p> {
 
         let limits = BlockLimits { block_bytes_max: self.options.block_bytes };
         let settings = BlockSettings { precision: decision.precision, limits, codec: self.options.codec };
-        let mut first = Worker::new(settings);
-        refine(&mut scattered, &mut first.bucket, || self.ask(Phase::Scatter, None))?;
+        let mut worker = Worker::new(settings);
+        refine(&mut scattered, &mut worker.bucket, || self.ask(Phase::Scatter, None))?;
         self.left = self.scatter.add_since(self.left);
+        Ok(Settled { scattered, worker, settings, decision, error_bound, spill_bytes, crew_time })
+    }
 
+    /// What is left when the buckets are elsewhere. `crew_time` is that of [`Settled`].
+    pub(super) fn into_remains<P: Point>(mut self, settled: &Settled<P>) -> Remains {
+        self.left = self.scatter.add_since(self.left);
+        let mut scatter = self.scatter;
+        scatter.merge(&settled.crew_time);
+        let mut total = Meter::default();
+        total.add_since(self.start);
+        Remains {
+            budget: self.budget,
+            quota: self.place.quota,
+            options: self.options,
+            source: self.source,
+            materials: self.materials,
+            seconds: PhaseSeconds {
+                parse: self.parse.seconds(),
+                scatter: scatter.seconds(),
+                total: total.seconds(),
+                ..PhaseSeconds::default()
+            },
+        }
+    }
+
+    fn publish<P: Point>(mut self, settled: Settled<P>) -> Result<CompileReport, CompileError> {
+        let Settled { scattered, worker: first, settings, decision, error_bound, mut spill_bytes, crew_time } =
+            settled;
+        let limits = settings.limits;
         // As many workers as there are threads, fewer if the budget does not hold so many.
         let (mut triangles, mut vertices) = (0, 0);
         for range in &scattered.buckets {
@@ -631,6 +703,21 @@ impl MeshSink for Compiler<'_> {
         let part = |total: u64| if total > 0 { (consumed_bytes as f64 / total as f64).min(1.0) } else { 1.0 };
         self.fraction = total_bytes.map(part);
         self.ask(Phase::Read, self.fraction)
+    }
+}
+
+/// Cuts all buckets and publishes the compiled file.
+struct Publish;
+
+impl Ending for Publish {
+    type Output = CompileReport;
+
+    fn end<P: Point>(
+        self,
+        compiler: Compiler<'_>,
+        settled: Settled<P>,
+    ) -> Result<CompileReport, CompileError> {
+        compiler.publish(settled)
     }
 }
 

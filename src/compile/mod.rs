@@ -21,6 +21,7 @@ mod faces;
 mod file;
 mod gather;
 mod grid;
+mod lazy;
 mod lookup;
 mod options;
 mod output;
@@ -37,6 +38,7 @@ mod vertices;
 
 pub use compiler::Compiler;
 pub use file::compile_file;
+pub use lazy::{LazyModel, LazyOptions, LazyReport};
 pub use options::{
     AUTO_TOLERANCE, CompileOptions, CompileReport, Control, Phase, PhaseSeconds, PrecisionChoice, Progress,
     Seconds, Threads,

@@ -96,6 +96,11 @@ impl BuildScratch {
             as u64
     }
 
+    /// How many primitives there is room for.
+    pub(super) fn capacity(&self) -> usize {
+        self.octants.len()
+    }
+
     /// Where the boxes of the primitives go before [`build_tree`].
     pub(super) fn primitives(&mut self, count: usize) -> (&mut [MinBox], &[MinBox]) {
         (&mut self.boxes[0][..count], &self.vertices)

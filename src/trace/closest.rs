@@ -7,7 +7,9 @@ use super::load::{LoadScratch, Pins};
 use super::policy::{Candidate, Policy};
 use super::stack::{Entries, Stack};
 use crate::geom::{Ray, TriangleHit};
-use crate::octree::{Child, Fine, LazyOctree, LocalRay, QueryRay, TriangleLocation, prepare, splat_interval};
+use crate::octree::{
+    Child, Fine, LazyOctree, LocalRay, QueryRay, Reached, TriangleLocation, prepare, splat_interval,
+};
 use crate::simd::{Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::{BlockId, TriangleId};
@@ -93,7 +95,17 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
         let Closest { local, interval, .. } = &closest;
         if child.is_leaf() {
             let block = child.block_index();
-            let sub_boxes = &coarse.sub_boxes[block as usize];
+            let sub_boxes = match coarse.sub_boxes.get(block as usize) {
+                Some(sub_boxes) => sub_boxes,
+                None => match work.octree.reach(block)? {
+                    Reached::Block(sub_boxes) => sub_boxes,
+                    Reached::Cell(root) => {
+                        work.counters.box_tests -= 1;
+                        child = root;
+                        continue;
+                    }
+                },
+            };
             let (near, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
                 if !closest.kept.pass(|| stack.least_near(simd, near, hits), closest.query) {
@@ -119,7 +131,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
                 closest.local.enter_frame(simd, closest.query, &coarse.frame);
             }
         } else {
-            let node = &coarse.nodes[child.node_index()];
+            let node = coarse.node(child);
             let (near, hits) = local.boxes.test(simd, &node.bounds, interval.low, interval.high);
             if hits != 0 {
                 child = stack.push_sorted(simd, &node.children, near, hits);
