@@ -94,24 +94,22 @@ pub fn prepare(
         }
         Some(reason) => reason,
     };
-    if options.lazy {
+    if options.is_lazy() {
         let lazy = lazy_options(options, compile_options);
         let lazy = LazyModel::open(model, &path, &lazy, budget, &mut progress)?;
-        let story = format!("{}, compiled as rays reach it", model.display());
+        let story = format!("{}, {reason}, as rays reach it", model.display());
         return Ok(Compiled { origin: Origin::Lazy(Arc::new(lazy)), story, report: None });
     }
     let report = compile_file(model, &path, &compile_options, budget, &mut progress)?;
+    // What an earlier run had compiled of it as rays reached it is of no more use; there may be none.
+    let _ = std::fs::remove_file(LazyModel::working_path(&path));
     let story = format!("{}, {reason}", model.display());
     Ok(Compiled { origin: Origin::File(path), story, report: Some(report) })
 }
 
 fn lazy_options(options: &Options, compile: CompileOptions) -> LazyOptions {
     let cells_at_once = options.threads;
-    let mut lazy = LazyOptions { compile, cells_at_once, anew: options.recompile, ..Default::default() };
-    if let Some(count) = std::env::var("CELLS").ok().and_then(|x| x.parse().ok()) {
-        lazy.cell_triangles = count;
-    }
-    lazy
+    LazyOptions { compile, cells_at_once, anew: options.recompile, ..Default::default() }
 }
 
 /// `MODEL.outcrop`, with the model's own extension kept: `a.obj` and `a.ply` are two models.
@@ -129,8 +127,7 @@ fn reason_to_compile(
     compiled: &Path,
 ) -> Result<Option<&'static str>, Box<dyn Error>> {
     let record = source_record(model)?;
-    let asked = options.block_bytes.is_some() || options.codec.is_some() || options.precision.is_some();
-    if options.recompile || asked {
+    if options.asks_to_compile() {
         return Ok(Some("compiled as asked"));
     }
     if !compiled.exists() {

@@ -23,7 +23,7 @@ use outcrop::access::{AccessTrace, MissRatioCurve};
 use outcrop::compile::Control;
 use outcrop::free_memory::FollowFreeMemory;
 use outcrop::model::Model;
-use outcrop::octree::{LazyOctree, OctreeOptions};
+use outcrop::octree::{LazyOctree, OctreeOptions, TreeQuality};
 use outcrop::render::{Outcome, RenderSettings, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
@@ -82,8 +82,9 @@ fn job(
         return Ok(ExitCode::SUCCESS);
     }
     let source = match &compiled.origin {
-        Origin::File(path) => open(options, path)?,
-        Origin::Lazy(model) => Arc::clone(model) as Arc<dyn BlockSource>,
+        Origin::File(path) => (open(options, path)?, TreeQuality::Best),
+        // Who is in a hurry for a first picture wants it traced soon, not fast.
+        Origin::Lazy(model) => (Arc::clone(model) as Arc<dyn BlockSource>, TreeQuality::Quick),
     };
     let image = render(options, source, budget, interrupt, &mut meter, summary)?;
     meter.finish();
@@ -116,7 +117,7 @@ fn open(options: &Options, path: &Path) -> Result<Arc<dyn BlockSource>, Box<dyn 
 
 fn render(
     options: &Options,
-    source: Arc<dyn BlockSource>,
+    (source, quality): (Arc<dyn BlockSource>, TreeQuality),
     budget: &MemoryBudget,
     interrupt: &Interrupt,
     meter: &mut Meter,
@@ -135,6 +136,7 @@ fn render(
             tracers_max: options.threads,
             simd: options.simd,
             tier: options.tier,
+            quality: options.quality.unwrap_or(quality),
             leaf_layout: options.leaf_layout,
             slots_max: options.slots_max,
             policy: options.policy,

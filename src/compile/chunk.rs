@@ -209,7 +209,7 @@ impl<P: Point> Chunk<P> {
         let materials: u64 = self.materials.iter().map(|&[len, _]| u64::from(len)).sum();
         ids.is_some_and(|(_, sum)| sum == count)
             && materials == count
-            && self.vertices.iter().all(|&vertex| P::sum(vertex, vertex, vertex).is_some())
+            && self.vertices.iter().all(|vertex| vertex.is_valid())
     }
 
     /// Turns distances into indices; false if one leads nowhere.

@@ -20,6 +20,8 @@ pub struct CellEntry {
     pub first_block: BlockId,
     /// Most blocks that it can be cut into: as many numbers are its own.
     pub block_count_max: u32,
+    /// About how many it will be cut into.
+    pub block_count_expected: u32,
 }
 
 impl CellEntry {
@@ -39,14 +41,17 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Cells of these boxes, numbers of triangles and materials; gives block numbers to them. `None` if there are not enough.
+    /// Cells of these boxes, numbers of triangles and of vertices, and materials; gives block numbers to them. `None` if there are not
+    /// enough.
     pub(crate) fn new(
-        cells: impl Iterator<Item = (Aabb, u32, [u16; 2])>,
+        cells: impl Iterator<Item = (Aabb, [u32; 2], [u16; 2])>,
         limits: BlockLimits,
     ) -> Option<Cells> {
         let per_block = CellEntry::triangles_that_always_fit(limits) as u32;
         let mut into = Cells::default();
-        for (bounds, triangle_count, material_range) in cells {
+        // Blocks are about two thirds full.
+        let block_bytes = (limits.block_bytes_max as usize * 2 / 3).max(1);
+        for (bounds, [triangle_count, vertex_count], material_range) in cells {
             let pages = (triangle_count / per_block + 1).div_ceil(1 << PAGE_SHIFT);
             let first_block = u32::try_from(into.cell_of_page.len()).ok()?.checked_mul(1 << PAGE_SHIFT)?;
             // A number of 31 bits, so that trees can tell blocks from nodes, and cells have room above.
@@ -57,12 +62,15 @@ impl Cells {
             into.cell_of_page.resize(into.cell_of_page.len() + pages as usize, cell);
             let block_count_max = pages << PAGE_SHIFT;
             let first_block = BlockId(first_block);
+            let bytes = BlockLimits::decoded_bytes(vertex_count as usize, triangle_count as usize, false);
+            let expected = bytes.div_ceil(block_bytes).max(1) as u32;
             into.entries.push(CellEntry {
                 bounds,
                 triangle_count,
                 material_range,
                 first_block,
                 block_count_max,
+                block_count_expected: expected.min(block_count_max),
             });
         }
         Some(into)
@@ -76,6 +84,12 @@ impl Cells {
     /// How many there are.
     pub fn len(&self) -> usize {
         self.entries.len()
+    }
+
+    /// About how many blocks there will be.
+    pub fn block_count_expected(&self) -> u32 {
+        // Each is at most its share of the numbers.
+        self.entries.iter().map(|cell| cell.block_count_expected).sum()
     }
 
     /// All of them, by number.
@@ -115,7 +129,8 @@ mod tests {
     fn every_number_belongs_to_one_cell() {
         let limits = BlockLimits { block_bytes_max: 4096 };
         let counts = [1, 10_000, 49, 50, 131_072];
-        let cells = Cells::new(counts.iter().map(|&count| (Aabb::EMPTY, count, [0, 0])), limits).unwrap();
+        let known = counts.iter().map(|&count| (Aabb::EMPTY, [count, count], [0, 0]));
+        let cells = Cells::new(known, limits).unwrap();
         let mut next = 0;
         for (index, (cell, count)) in (0..).zip(cells.entries().iter().zip(counts)) {
             assert_eq!(cell.first_block.0, next);
@@ -129,7 +144,7 @@ mod tests {
         }
         assert_eq!(cells.block_id_count(), next);
         assert_eq!(cells.cell_of(BlockId(next)), None);
-        let huge = std::iter::repeat_n((Aabb::EMPTY, 1 << 17, [0, 0]), 1 << 19);
+        let huge = std::iter::repeat_n((Aabb::EMPTY, [1 << 17, 1 << 17], [0, 0]), 1 << 19);
         assert_eq!(Cells::new(huge, limits), None);
     }
 }

@@ -69,12 +69,7 @@ impl Model {
 
     /// About how many blocks there are, known or not.
     pub fn expected_block_count(&self) -> u32 {
-        if self.cells.is_empty() {
-            return self.blocks.len() as u32;
-        }
-        // Blocks are about two thirds full of triangles.
-        let per_block = (self.limits.triangle_count_max() as u64 * 2 / 3).max(1);
-        (self.triangle_count / per_block + 1).min(u64::from(self.cells.block_id_count())) as u32
+        self.blocks.len() as u32 + self.cells.block_count_expected()
     }
 
     /// Lowest and highest material of each part of the model: of its blocks, or of its cells.

@@ -229,8 +229,10 @@ impl WorkingHeader {
             let reason = "the cells do not make up the model";
             return Err(damaged("cell records", self.cells.offset, reason));
         }
-        let known =
-            records.iter().map(|record| (record.bounds, record.triangle_count, record.material_range));
+        let known = records.iter().map(|record| {
+            let counts = [record.triangle_count, record.vertex_count];
+            (record.bounds, counts, record.material_range)
+        });
         let cells = Cells::new(known, self.limits);
         let reason = "there are more cells than blocks can be numbered";
         let cells = cells.ok_or(damaged("cell records", self.cells.offset, reason))?;

@@ -10,7 +10,7 @@ use super::fine::FineLayout;
 use super::frame::{Frame, Space};
 use super::grown::Reached;
 use super::touched::TouchedBlocks;
-use super::{LeafLayout, OctreeOptions, Tier};
+use super::{LeafLayout, OctreeOptions, Tier, TreeQuality};
 use crate::access::AccessRecorder;
 use crate::block::{BlockData, BlockLimits, DecodeScratch};
 use crate::budget::{MemoryBudget, Reservation};
@@ -38,6 +38,7 @@ pub struct LazyOctree {
     pub(crate) layout: FineLayout,
     pub(crate) level: SimdLevel,
     pub(crate) tier: Tier,
+    pub(crate) quality: TreeQuality,
     pub(crate) budget: MemoryBudget,
     pub(crate) touched: TouchedBlocks,
     /// Where tracers write down which blocks they enter, if anywhere.
@@ -314,6 +315,7 @@ impl Parts {
             layout: FineLayout { expanded, scale: self.scale },
             level: self.level,
             tier: options.tier,
+            quality: options.quality,
             budget: budget.clone(),
             tracers_max: options.tracers_max,
             tracer_count: AtomicU32::new(0),

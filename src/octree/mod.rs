@@ -14,7 +14,7 @@ mod sah;
 mod touched;
 
 pub use lazy::LazyOctree;
-pub use options::{LeafLayout, OctreeOptions, Tier};
+pub use options::{LeafLayout, OctreeOptions, Tier, TreeQuality};
 
 pub(crate) use build::BuildScratch;
 pub(crate) use coarse::CoarseTree;

@@ -51,7 +51,7 @@ impl LoadScratch {
         let entry = octree.entry(block);
         let entry = entry.ok_or(BlockError { block, offset: 0, reason: "the model has no such block" })?;
         octree.model.decode_entry(block, entry, &self.stored, &mut self.decode, &mut self.data)?;
-        build(octree.level, entry, &self.data, octree.layout, slot, &mut self.build);
+        build(octree.level, entry, &self.data, (octree.layout, octree.quality), slot, &mut self.build);
         octree.touched.insert(block);
         if self.filled.len() < FILLED_MAX {
             self.filled.push(block);

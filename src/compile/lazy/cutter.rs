@@ -1,6 +1,6 @@
 //! Cells to blocks, whatever the form of their vertices.
 
-use super::super::blocks::{BlockMaker, BlockSettings, EncodedBucket};
+use super::super::blocks::{BlockMaker, BlockSettings, EncodedBlock, EncodedBucket};
 use super::super::bucket::Bucket;
 use super::super::parallel::Worker;
 use super::super::point::Point;
@@ -94,7 +94,14 @@ impl Cutter {
         let is_cell = is_cell.map_err(|error| working.damaged(record.offset, error.to_string()))?;
         let mut bounds = crate::geom::Aabb::EMPTY;
         self.bucket.blocks.iter().for_each(|block| bounds.merge(&block.bounds));
-        if !is_cell || bounds != record.bounds || self.bucket.blocks.len() > blocks_max {
+        let [low, high] = record.material_range;
+        let materials_fit =
+            |block: &EncodedBlock| block.material_range[0] >= low && block.material_range[1] <= high;
+        if !is_cell
+            || bounds != record.bounds
+            || self.bucket.blocks.len() > blocks_max
+            || !self.bucket.blocks.iter().all(materials_fit)
+        {
             return Err(working.damaged(record.offset, "a cell's triangles are not what its record says"));
         }
         Ok(())

@@ -335,6 +335,11 @@ impl LazyModel {
         }
     }
 
+    /// Whether a cell is cut.
+    pub fn is_cut(&self, cell: CellId) -> bool {
+        self.cut.get(cell.0 as usize).is_some_and(|place| place.get().is_some())
+    }
+
     /// Whether every cell is cut, so that [`LazyModel::finish`] has nothing to do but to copy.
     pub fn is_complete(&self) -> bool {
         self.cut.iter().all(|cell| cell.get().is_some())
