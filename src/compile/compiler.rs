@@ -33,6 +33,8 @@ use crate::units::{Bytes, MaterialId};
 
 /// Triangles per bucket, at two per vertex where their number is not known before the buckets are made.
 const BUCKET_TRIANGLES: u64 = 64 << 10;
+/// About how many triangles a block has.
+const TRIANGLES_PER_BLOCK: u64 = 2500;
 /// Small batches are gathered up to this many triangles.
 const QUEUE_TRIANGLES: usize = 4096;
 /// The callback is asked at least once in so many triangles.
@@ -396,18 +398,22 @@ impl<'p> Compiler<'p> {
         // What the cut needs later, beyond the memory of the vertices, which is free by then.
         let threads = self.pool.as_ref().map_or(1, |pool| pool.current_num_threads());
         let needed_later = (WORKER_BYTES * threads as u64).min(self.budget.limit().0 / 3);
+        // Two triangles per vertex, if it is not known yet how many there are.
+        let expected = self.triangles.max(2 * self.store.len() as u64);
+        let needed_later = needed_later + Output::directory_bytes(expected / TRIANGLES_PER_BLOCK);
         let headroom = (1 << 20) + needed_later.saturating_sub(self.store.memory_bytes() + GRID_BYTES);
         let share = self.budget.limit().0 / 12;
         let skip = self.options.skip_not_finite;
-        let make = |place: &SpillPlace, share: u64| {
-            Scatter::new(Arc::clone(&map), unit, place.clone(), share, headroom, skip)
+        let make = |place: &SpillPlace, share: u64, count: u64| {
+            Scatter::new(Arc::clone(&map), unit, place.clone(), share, (expected / count, headroom), skip)
         };
         if let Some(pool) = self.pool.clone()
             && self.store.is_resident()
             && let Ok(memory) = self.budget.reserve(Bytes(batch_bytes(threads)), "batches of triangles")
         {
             let count = threads as u64;
-            let scatters: Result<Vec<_>, _> = (0..count).map(|_| make(&self.place, share / count)).collect();
+            let scatters: Result<Vec<_>, _> =
+                (0..count).map(|_| make(&self.place, share / count, count)).collect();
             // Without the memory for several there may still be enough for one.
             if let Ok(scatters) = scatters {
                 let empty = VertexStore::new(self.place.clone(), 0);
@@ -418,7 +424,7 @@ impl<'p> Compiler<'p> {
             }
         }
         // The spill must not take what gathering may come to need.
-        let scatter = make(&self.place, share)?;
+        let scatter = make(&self.place, share, 1)?;
         Ok(Placer::own(scatter, self.budget.clone(), SPILL_BUFFERS))
     }
 
@@ -545,7 +551,8 @@ impl<'p> Compiler<'p> {
             workers.push(Worker::new(settings));
         }
 
-        let mut output = Output::create(&self.output, self.place.quota.clone(), decision.precision, limits)?;
+        let quota = self.place.quota.clone();
+        let mut output = Output::create(&self.output, quota, decision.precision, limits, &self.budget)?;
         let mut write = Meter::default();
         let (mut degenerate, mut duplicates) = (0, 0);
         let total = scattered.buckets.len().max(1) as f64;

@@ -30,6 +30,7 @@ mod parallel;
 mod placer;
 mod point;
 mod precision;
+mod records;
 mod refine;
 mod scatter;
 mod spill;

@@ -71,6 +71,14 @@ impl ModelWriter {
         })
     }
 
+    /// Memory that a block takes in the writer.
+    pub const BYTES_PER_BLOCK: u64 = size_of::<BlockEntry>() as u64;
+
+    /// Makes room for `count` more blocks, and not more.
+    pub fn reserve(&mut self, count: usize) {
+        self.blocks.reserve_exact(count);
+    }
+
     /// Where the next block goes in the file.
     pub fn next_offset(&self) -> u64 {
         self.end

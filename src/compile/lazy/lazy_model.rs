@@ -34,8 +34,8 @@ pub struct LazyOptions {
     /// About how many triangles a cell has: the least that is cut. Smaller cells leave more of the model alone, larger ones give
     /// fewer blocks that are not full.
     pub cell_triangles: u32,
-    /// How many cells may be cut at once, each in memory of its own; fewer if the budget does not hold so many. Threads that
-    /// find no memory free wait for a cell to be done.
+    /// How many cells may be cut at once, each in memory of its own; fewer if that would take more than a quarter of the budget.
+    /// Threads that find no memory free wait for a cell to be done.
     pub cells_at_once: u32,
     /// Start anew even if there is a working file that fits.
     pub anew: bool,
@@ -274,7 +274,9 @@ impl LazyModel {
         let allowance = Allowance::new(budget, directory, "the directory of a lazy compile")?;
         let cutter_bytes = Bytes(Cutter::bytes_for(settings, records));
         let mut idle = Vec::new();
-        while idle.len() < cells_at_once.max(1) as usize {
+        // Most of the budget is for the cache, whoever asks for how many.
+        let fitting = (budget.limit().0 / 4 / cutter_bytes.0.max(1)).max(1);
+        while (idle.len() as u64) < u64::from(cells_at_once.max(1)).min(fitting) {
             match budget.reserve(cutter_bytes, "cutting a cell") {
                 Ok(reservation) => memory.push(reservation),
                 Err(error) if idle.is_empty() => return Err(error.into()),

@@ -31,7 +31,8 @@ impl LazyModel {
         let start = Moment::now();
         let cut_before = self.cut_time();
         let quota = self.working().quota().clone();
-        let mut output = Output::create(self.output(), quota, header.precision, header.limits)?;
+        let mut output =
+            Output::create(self.output(), quota, header.precision, header.limits, self.budget())?;
         let (mut degenerate, mut duplicates) = (0, 0);
         let count = self.cells().len();
         for (index, place) in self.cells().iter().enumerate() {
