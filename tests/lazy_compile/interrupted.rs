@@ -100,7 +100,7 @@ fn what_was_cut_after_a_break_is_kept_too() {
     let model = open(&expected.mesh, &place.output(), &small(), &budget()).unwrap();
     assert_eq!((model.report().cells_cut, model.report().was_reopened), (known, true));
     model.finish(&mut |_| Control::Continue).unwrap();
-    assert_eq!(fs::read(place.output()).unwrap(), expected.file);
+    assert!(fs::read(place.output()).unwrap() == expected.file, "another file");
 }
 
 #[test]
@@ -158,7 +158,7 @@ fn flipped_bits_are_found_or_mended() {
     let place = Place::new();
     let mut random = Random(5);
     let (mut right, mut refused) = (0, 0);
-    for round in 0..300 {
+    for round in 0..200 {
         // The whole file, and one with a half of its cells cut, so that damaged triangles are read.
         let whole = round % 2 == 0;
         let mut bytes = bytes[..if whole { bytes.len() } else { part }].to_vec();
@@ -177,7 +177,7 @@ fn flipped_bits_are_found_or_mended() {
         let _ = fs::remove_file(place.output());
     }
     // Both happen: damage in the log and the head is mended, damage in triangles is not.
-    assert!(right > 50 && refused > 20, "{right} right, {refused} refused");
+    assert!(right > 30 && refused > 15, "{right} right, {refused} refused");
 }
 
 #[test]
