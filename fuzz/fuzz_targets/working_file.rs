@@ -37,7 +37,8 @@ fn seal(file: &mut [u8]) {
     // The triangles of each cell, so that what is changed in them is looked at.
     let (offset, bytes) = (u64_at(file, SECTIONS[0]), u64_at(file, SECTIONS[0] + 8));
     let records = offset..offset.saturating_add(bytes).min(file.len());
-    for at in records.step_by(96).filter(|at| at + 96 <= file.len()) {
+    let file_bytes = file.len();
+    for at in records.step_by(96).filter(|at| at + 96 <= file_bytes) {
         let (start, length) = (u64_at(file, at), u64_at(file, at + 8));
         if let Some(part) = file.get(start..).and_then(|rest| rest.get(..length)) {
             let sum = checksum(part);

@@ -1,4 +1,4 @@
-//! Where chunks are: a list that grows inside the budget (I1). There is one record for some hundred triangles, so that the list of a
+//! Where chunks are: a list that is counted in the budget as far as that has room (I1). There is one record for some hundred triangles, so that the list of a
 //! billion triangles takes more than a hundred megabytes.
 
 use std::ops::{Deref, DerefMut};
@@ -56,7 +56,8 @@ impl ChunkRecords {
     fn grow(&mut self, count: usize) -> Result<(), BudgetError> {
         let count = count.max(STEP).max(self.records.len() / 8);
         let bytes = (count * size_of::<ChunkRecord>()) as u64;
-        self.memory.push(self.budget.reserve(Bytes(bytes), "the list of chunks")?);
+        // Where the spill has left no room the list grows uncounted: a compile that has come so far is not refused for it.
+        self.memory.extend(self.budget.reserve(Bytes(bytes), "the list of chunks").ok());
         self.records.reserve_exact(count);
         Ok(())
     }

@@ -56,7 +56,7 @@ pub enum LeafLayout {
 /// How much work goes into the tree inside a block, each time that the block is loaded. Hits do not depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum TreeQuality {
-    /// Planes in the middle of the centres: built at more than twice the speed, and a tenth slower to trace. Best where a loaded block
+    /// Planes in the middle of the centres: much faster to build, somewhat slower to trace. Best where a loaded block
     /// is entered by few rays: for one small picture, or a cache that is much too small.
     Quick,
     /// Planes by the surface area heuristic.
