@@ -133,10 +133,10 @@ VARIANTS
 touched() {
     echo '### How much of the model the standard view needs'
     echo
-    "$bin/render" gears8.ply --compiled touched.outcrop "${view[@]}" --size 512 --memory 1GiB -o touched.png --stats touched.json \
+    "$bin/render" gears8.ply --compiled touched.outcrop "${view[@]}" --size 512 --memory 1GiB --recompile -o touched.png --stats touched.json \
         >touched.txt 2>&1
     grep -E '^(rays|blocks)' touched.txt | sed 's/^/    /'
-    "$bin/render" gears8-m.ply --compiled touched-m.outcrop "${view[@]}" --size 512 --memory 1GiB -o touched-m.png \
+    "$bin/render" gears8-m.ply --compiled touched-m.outcrop "${view[@]}" --size 512 --memory 1GiB --recompile -o touched-m.png \
         >touched.txt 2>&1
     echo '    with mirrors and glass:'
     grep -E '^(rays|blocks)' touched.txt | sed 's/^/    /'

@@ -95,6 +95,28 @@ impl Drop for Reservation {
     }
 }
 
+/// Bytes set aside for what comes to be known piece by piece while others hold the rest of the budget, and what is left of the
+/// budget after that.
+#[derive(Debug)]
+pub(crate) struct Allowance {
+    aside: MemoryBudget,
+    budget: MemoryBudget,
+    _reservation: Reservation,
+}
+
+impl Allowance {
+    /// Sets `bytes` aside.
+    pub fn new(budget: &MemoryBudget, bytes: Bytes, purpose: &'static str) -> Result<Allowance, BudgetError> {
+        let reservation = budget.reserve(bytes, purpose)?;
+        Ok(Allowance { aside: MemoryBudget::new(bytes), budget: budget.clone(), _reservation: reservation })
+    }
+
+    /// Takes `bytes` from what was set aside, or from the budget if that is used up.
+    pub fn reserve(&self, bytes: Bytes, purpose: &'static str) -> Result<Reservation, BudgetError> {
+        self.aside.reserve(bytes, purpose).or_else(|_| self.budget.reserve(bytes, purpose))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -112,5 +134,20 @@ mod tests {
         drop(second);
         assert_eq!(budget.used(), Bytes(0));
         assert!(budget.reserve(Bytes(u64::MAX), "huge").is_err());
+    }
+
+    #[test]
+    fn an_allowance_is_used_first_and_the_budget_then() {
+        let budget = MemoryBudget::new(Bytes(100));
+        let allowance = Allowance::new(&budget, Bytes(40), "pieces").unwrap();
+        let first = allowance.reserve(Bytes(30), "a piece").unwrap();
+        assert_eq!(budget.used(), Bytes(40));
+        let second = allowance.reserve(Bytes(30), "a piece").unwrap();
+        assert_eq!(budget.used(), Bytes(70));
+        assert!(allowance.reserve(Bytes(31), "a piece").is_err());
+        drop((first, second));
+        assert_eq!(budget.used(), Bytes(40));
+        drop(allowance);
+        assert_eq!(budget.used(), Bytes(0));
     }
 }

@@ -246,6 +246,25 @@ pub enum CompileError {
     /// The caller's callback asked to stop.
     #[error("the compile was cancelled")]
     Cancelled,
+    /// Another process, or another part of this one, has the working file of a lazy compile open.
+    #[error(
+        "{} is in use by another lazy compile of the same model; wait for it to end or choose another output",
+        path.display()
+    )]
+    Locked {
+        /// The working file.
+        path: PathBuf,
+    },
+    /// The working file of a lazy compile has bytes that cannot be right, or cannot be read.
+    #[error("{} is damaged at byte {offset}: {reason}; remove it to start anew", path.display())]
+    WorkingFile {
+        /// The working file.
+        path: PathBuf,
+        /// Where in it.
+        offset: u64,
+        /// What is wrong there.
+        reason: String,
+    },
 }
 
 /// A missing block could not be brought in.
@@ -257,6 +276,12 @@ pub enum LoadError {
     /// Its bytes are damaged.
     #[error(transparent)]
     Block(#[from] BlockError),
+    /// A cell of a model that is compiled lazily could not be cut into blocks.
+    #[error(transparent)]
+    Cut(Box<CompileError>),
+    /// The budget has no room for what is known of a cell that was cut.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
     /// The cache has no slot to give: every slot is pinned.
     #[error("all {slots} cache slots are pinned; raise the memory budget or lower the thread count")]
     NoSlot {

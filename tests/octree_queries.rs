@@ -5,7 +5,7 @@ mod support;
 use std::sync::Arc;
 
 use outcrop::geom::{Precision, Ray};
-use outcrop::octree::{LazyOctree, LeafLayout, OctreeOptions};
+use outcrop::octree::{LazyOctree, LeafLayout, OctreeOptions, TreeQuality};
 use outcrop::simd::SimdLevel;
 use outcrop::trace::{MaterialSet, Occlusion, Tracer};
 use outcrop::units::{Bytes, MaterialId, TriangleId};
@@ -137,14 +137,16 @@ fn check_everywhere(triangles: &Triangles, precision: Precision, rays: &[Ray]) {
             1 => (triangles[i][0][0]).to_bits() >> 40,
             _ => (i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32,
         });
-        for (layout, simd, slots_max) in [
-            (LeafLayout::Expanded, SimdLevel::Avx2, None),
-            (LeafLayout::Indexed, SimdLevel::Portable, Some(1)),
-            (LeafLayout::Indexed, SimdLevel::Avx2, Some(3)),
-            (LeafLayout::Expanded, SimdLevel::Portable, None),
+        for (layout, simd, slots_max, quality) in [
+            (LeafLayout::Expanded, SimdLevel::Avx2, None, TreeQuality::Best),
+            (LeafLayout::Expanded, SimdLevel::Avx2, None, TreeQuality::Quick),
+            (LeafLayout::Indexed, SimdLevel::Portable, Some(1), TreeQuality::Quick),
+            (LeafLayout::Indexed, SimdLevel::Avx2, Some(3), TreeQuality::Best),
+            (LeafLayout::Expanded, SimdLevel::Portable, None, TreeQuality::Best),
         ] {
+            let leaf_layout = layout;
             let options =
-                OctreeOptions { leaf_layout: layout, simd: Some(simd), slots_max, ..Default::default() };
+                OctreeOptions { leaf_layout, simd: Some(simd), slots_max, quality, ..Default::default() };
             let budget = MemoryBudget::new(Bytes::mib(256));
             let source: Arc<dyn BlockSource> = source.clone();
             let octree = LazyOctree::open(source, &budget, options).unwrap();

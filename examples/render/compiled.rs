@@ -2,11 +2,14 @@
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use outcrop::compile::{
-    CompileOptions, CompileReport, Compiler, Control, Phase, Progress, Threads, compile_file,
+    CompileOptions, CompileReport, Compiler, Control, LazyModel, LazyOptions, Phase, Progress, Threads,
+    compile_file,
 };
 use outcrop::import::source_record;
+use outcrop::model::SourceRecord;
 use outcrop::procedural::{Gears, Shape};
 use outcrop::source::DiskSource;
 use outcrop::{BlockSource, MemoryBudget};
@@ -15,9 +18,17 @@ use crate::common::interrupt::Interrupt;
 use crate::common::progress::Meter;
 use crate::options::Options;
 
-/// The compiled file and how it came to be.
+/// Where blocks come from.
+pub enum Origin {
+    /// A compiled file.
+    File(PathBuf),
+    /// A model that is compiled as rays reach it.
+    Lazy(Arc<LazyModel>),
+}
+
+/// The compiled file, or what stands for it, and how it came to be.
 pub struct Compiled {
-    pub path: PathBuf,
+    pub origin: Origin,
     /// What the model is called, and why it was or was not compiled.
     pub story: String,
     /// What compiling did, if it was done now.
@@ -51,11 +62,20 @@ pub fn prepare(
     let Some(model) = &options.model else {
         let n = options.gears_n.unwrap_or(GEARS_N);
         let path = options.compiled.clone().unwrap_or_else(|| PathBuf::from(format!("gears{n}.{EXTENSION}")));
-        let mut compiler = Compiler::new(&path, compile_options, budget, &mut progress)?;
-        Gears::new(n)?.emit(&mut compiler)?;
-        let report = compiler.finish()?;
         let story = format!("procedural gears, n = {n}");
-        return Ok(Compiled { path, story, report: Some(report) });
+        let gears = Gears::new(n)?;
+        if options.lazy {
+            // Gears of one size are always the same: what tells them apart is their number.
+            let source = SourceRecord { file_bytes: 0, modified_ns: 0, fingerprint: u64::from(n) };
+            let emit = |compiler: &mut Compiler<'_>| gears.emit(compiler);
+            let lazy = lazy_options(options, compile_options);
+            let model = LazyModel::from_mesh(source, &path, &lazy, budget, &mut progress, emit)?;
+            return Ok(Compiled { origin: Origin::Lazy(Arc::new(model)), story, report: None });
+        }
+        let mut compiler = Compiler::new(&path, compile_options, budget, &mut progress)?;
+        gears.emit(&mut compiler)?;
+        let report = compiler.finish()?;
+        return Ok(Compiled { origin: Origin::File(path), story, report: Some(report) });
     };
 
     if model.extension().is_some_and(|extension| extension == EXTENSION) {
@@ -63,19 +83,33 @@ pub fn prepare(
             return Err(format!("{}: is a compiled file already", model.display()).into());
         }
         let story = format!("{}, a compiled file", model.display());
-        return Ok(Compiled { path: model.clone(), story, report: None });
+        return Ok(Compiled { origin: Origin::File(model.clone()), story, report: None });
     }
 
     let path = options.compiled.clone().unwrap_or_else(|| beside(model));
     let reason = match reason_to_compile(options, model, &path)? {
         None => {
             let story = format!("{}, unchanged since it was compiled", model.display());
-            return Ok(Compiled { path, story, report: None });
+            return Ok(Compiled { origin: Origin::File(path), story, report: None });
         }
         Some(reason) => reason,
     };
+    if options.is_lazy() {
+        let lazy = lazy_options(options, compile_options);
+        let lazy = LazyModel::open(model, &path, &lazy, budget, &mut progress)?;
+        let story = format!("{}, {reason}, as rays reach it", model.display());
+        return Ok(Compiled { origin: Origin::Lazy(Arc::new(lazy)), story, report: None });
+    }
     let report = compile_file(model, &path, &compile_options, budget, &mut progress)?;
-    Ok(Compiled { path, story: format!("{}, {reason}", model.display()), report: Some(report) })
+    // What an earlier run had compiled of it as rays reached it is of no more use; there may be none.
+    let _ = std::fs::remove_file(LazyModel::working_path(&path));
+    let story = format!("{}, {reason}", model.display());
+    Ok(Compiled { origin: Origin::File(path), story, report: Some(report) })
+}
+
+fn lazy_options(options: &Options, compile: CompileOptions) -> LazyOptions {
+    let cells_at_once = options.threads;
+    LazyOptions { compile, cells_at_once, anew: options.recompile, ..Default::default() }
 }
 
 /// `MODEL.outcrop`, with the model's own extension kept: `a.obj` and `a.ply` are two models.
@@ -93,8 +127,7 @@ fn reason_to_compile(
     compiled: &Path,
 ) -> Result<Option<&'static str>, Box<dyn Error>> {
     let record = source_record(model)?;
-    let asked = options.block_bytes.is_some() || options.codec.is_some() || options.precision.is_some();
-    if options.recompile || asked {
+    if options.asks_to_compile() {
         return Ok(Some("compiled as asked"));
     }
     if !compiled.exists() {

@@ -17,12 +17,14 @@ use common::arguments::{self, Arguments};
 use common::interrupt::Interrupt;
 use common::memory_log::MemoryLog;
 use common::progress::Meter;
+use compiled::Origin;
 use options::{Command, Options, SourceKind};
 use outcrop::access::{AccessTrace, MissRatioCurve};
+use outcrop::compile::Control;
 use outcrop::free_memory::FollowFreeMemory;
 use outcrop::model::Model;
-use outcrop::octree::{LazyOctree, OctreeOptions};
-use outcrop::render::{Control, Outcome, RenderSettings, RenderedImage, Renderer, Threads};
+use outcrop::octree::{LazyOctree, OctreeOptions, TreeQuality};
+use outcrop::render::{Outcome, RenderSettings, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
 use outcrop::{BlockSource, MemoryBudget};
@@ -79,9 +81,17 @@ fn job(
     if options.compile_only {
         return Ok(ExitCode::SUCCESS);
     }
-    let source = open(options, &compiled.path)?;
+    let source = match &compiled.origin {
+        Origin::File(path) => (open(options, path)?, TreeQuality::Best),
+        // Who is in a hurry for a first picture wants it traced soon, not fast.
+        Origin::Lazy(model) => (Arc::clone(model) as Arc<dyn BlockSource>, TreeQuality::Quick),
+    };
     let image = render(options, source, budget, interrupt, &mut meter, summary)?;
     meter.finish();
+    if let Origin::Lazy(model) = &compiled.origin {
+        let report = model.is_complete().then(|| model.finish(&mut |_| Control::Continue)).transpose()?;
+        summary.lazy(&model.report(), report.map(|_| model.output()));
+    }
     image.film.write(&options.output)?;
     summary.rendered(&image, &options.output);
     Ok(match image.report.outcome {
@@ -107,7 +117,7 @@ fn open(options: &Options, path: &Path) -> Result<Arc<dyn BlockSource>, Box<dyn 
 
 fn render(
     options: &Options,
-    source: Arc<dyn BlockSource>,
+    (source, quality): (Arc<dyn BlockSource>, TreeQuality),
     budget: &MemoryBudget,
     interrupt: &Interrupt,
     meter: &mut Meter,
@@ -126,6 +136,7 @@ fn render(
             tracers_max: options.threads,
             simd: options.simd,
             tier: options.tier,
+            quality: options.quality.unwrap_or(quality),
             leaf_layout: options.leaf_layout,
             slots_max: options.slots_max,
             policy: options.policy,

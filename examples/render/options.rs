@@ -7,7 +7,7 @@ use std::thread;
 use outcrop::block::Codec;
 use outcrop::cache::Policy;
 use outcrop::compile::PrecisionChoice;
-use outcrop::octree::{LeafLayout, Tier};
+use outcrop::octree::{LeafLayout, Tier, TreeQuality};
 use outcrop::render::ImageFormat;
 use outcrop::simd::SimdLevel;
 use outcrop::units::Bytes;
@@ -22,7 +22,8 @@ render: makes a picture of a model inside a memory budget
     cargo run --release --example render -- MODEL --compile-only [-o FILE.outcrop]
 
 Without a MODEL, gears are made in code and go straight into the compiler, however many they are.
-A model is compiled first, to MODEL.outcrop, unless that file is there and the model has not changed since.
+A model is compiled to MODEL.outcrop, unless that file is there and the model has not changed since: as far as the picture needs it,
+or all of it at once with --compile-only or --recompile.
 
 model
     --gears N               wheels per edge of the gears that are made without a MODEL (4): 27,456 N^3 + 96 triangles
@@ -45,12 +46,15 @@ resources
     --keep-free BYTES       let the cache follow the system's free memory and leave so much to others
     --policy KIND           which block makes room: lru, clock or s3-fifo (lru)
     --leaves KIND           expanded or indexed; by the budget if not given
+    --trees KIND            quick (to build) or best (to trace); best unless the model is compiled lazily
     --simd KIND             avx2 or portable; the best here if not given
     --tier KIND             how sure hits are: fast, watertight, double, certified or exact (certified)
 compiled file
     --compile-only          stop after compiling; -o then names the compiled file
     --compiled FILE         keep the compiled file there instead of beside the model
     --recompile             compile even if the compiled file is up to date
+    --lazy                  compile only what rays reach, and keep it in FILE.outcrop.working for the next time; done anyway
+                            for a picture of a model that is not compiled, unless another option needs or asks for a compiled file
     --block-bytes BYTES     decoded size of a block, 4KiB to 256KiB (64KiB)
     --codec KIND            raw, lzo or lz4 (lz4)
     --precision KIND        auto, float32, or the exponent E of a lattice of spacing 2^E (auto)
@@ -98,11 +102,13 @@ pub struct Options {
     pub policy: Policy,
     pub keep_free: Option<Bytes>,
     pub leaf_layout: LeafLayout,
+    pub quality: Option<TreeQuality>,
     pub simd: Option<SimdLevel>,
     pub tier: Tier,
     pub compile_only: bool,
     pub compiled: Option<PathBuf>,
     pub recompile: bool,
+    pub lazy: bool,
     pub block_bytes: Option<u32>,
     pub codec: Option<Codec>,
     pub precision: Option<PrecisionChoice>,
@@ -112,6 +118,17 @@ pub struct Options {
 }
 
 impl Options {
+    /// Whether a compiled file is asked for that may not be there although one is.
+    pub fn asks_to_compile(&self) -> bool {
+        self.recompile || self.block_bytes.is_some() || self.codec.is_some() || self.precision.is_some()
+    }
+
+    /// Whether a model that is not compiled shall be compiled as rays reach it: if only its picture is wanted.
+    pub fn is_lazy(&self) -> bool {
+        let wants_file = self.compile_only || self.asks_to_compile() || self.record_accesses.is_some();
+        self.lazy || (!wants_file && self.source == SourceKind::Disk)
+    }
+
     pub fn parse(mut arguments: Arguments) -> Result<Command, Box<dyn Error>> {
         let mut options = Options::default();
         let mut output = None;
@@ -160,6 +177,10 @@ impl Options {
                     let kinds = [("expanded", LeafLayout::Expanded), ("indexed", LeafLayout::Indexed)];
                     options.leaf_layout = arguments.choice(&kinds)?;
                 }
+                "--trees" => {
+                    let kinds = [("quick", TreeQuality::Quick), ("best", TreeQuality::Best)];
+                    options.quality = Some(arguments.choice(&kinds)?);
+                }
                 "--simd" => {
                     let kinds = [("avx2", SimdLevel::Avx2), ("portable", SimdLevel::Portable)];
                     options.simd = Some(arguments.choice(&kinds)?);
@@ -168,6 +189,7 @@ impl Options {
                 "--compile-only" => options.compile_only = true,
                 "--compiled" => options.compiled = Some(arguments.path()?),
                 "--recompile" => options.recompile = true,
+                "--lazy" => options.lazy = true,
                 "--block-bytes" => {
                     let bytes: Bytes = arguments.value()?;
                     options.block_bytes = Some(u32::try_from(bytes.0)?);
@@ -272,11 +294,13 @@ impl Default for Options {
             policy: Policy::Lru,
             keep_free: None,
             leaf_layout: LeafLayout::Auto,
+            quality: None,
             simd: None,
             tier: Tier::Certified,
             compile_only: false,
             compiled: None,
             recompile: false,
+            lazy: false,
             block_bytes: None,
             codec: None,
             precision: None,

@@ -5,14 +5,14 @@ use std::path::Path;
 
 use outcrop::MemoryBudget;
 use outcrop::access::MissRatioCurve;
-use outcrop::compile::{CompileReport, Seconds};
+use outcrop::compile::{CompileReport, LazyReport, PhaseSeconds, Seconds};
 use outcrop::octree::LazyOctree;
 use outcrop::render::{Outcome, RenderReport, RenderedImage};
 use outcrop::units::Bytes;
 use serde_json::{Value, json};
 
 use crate::common::process::ProcessMemory;
-use crate::compiled::Compiled;
+use crate::compiled::{Compiled, Origin};
 use crate::options::Options;
 
 /// Collects what `--stats` writes while it prints.
@@ -45,9 +45,10 @@ impl Summary {
             seconds.encode.wall,
             seconds.write.wall
         );
+        let Origin::File(path) = &compiled.origin else { return };
         println!(
             "          {}: {}, {:.2} bytes per triangle, positions {}",
-            compiled.path.display(),
+            path.display(),
             Bytes(report.file_bytes),
             report.bytes_per_triangle,
             if report.error_bound == 0.0 {
@@ -68,14 +69,54 @@ impl Summary {
         self.stats["compile"] = compile_stats(report);
     }
 
+    /// How much of a model that is compiled lazily is compiled now; `sealed` names the compiled file, if all of it is.
+    pub fn lazy(&mut self, report: &LazyReport, sealed: Option<&Path>) {
+        let pass = &report.first_pass;
+        if report.was_reopened {
+            println!("compile   went on with what an earlier run had cut");
+        } else {
+            println!(
+                "compile   first pass {:.2} s: {:.2} s reading, {:.2} s sorting, {:.2} s writing",
+                pass.total.wall + pass.write.wall,
+                pass.parse.wall,
+                pass.scatter.wall,
+                pass.write.wall
+            );
+        }
+        println!(
+            "          {} of {} cut, {} now in {:.2} s; {} of {} triangles are in blocks",
+            grouped(report.cells_cut.into()),
+            counted(report.cells.into(), "cell"),
+            grouped(report.cells_cut_now.into()),
+            report.cut.wall,
+            grouped(report.triangles_encoded),
+            grouped(report.triangles)
+        );
+        if let Some(path) = sealed {
+            println!("          all of it: sealed as {}", path.display());
+        }
+        self.stats["lazy_compile"] = json!({
+            "triangles": report.triangles,
+            "triangles_encoded": report.triangles_encoded,
+            "cells": report.cells,
+            "cells_cut": report.cells_cut,
+            "cells_cut_now": report.cells_cut_now,
+            "blocks": report.blocks,
+            "working_bytes": report.working_bytes,
+            "was_reopened": report.was_reopened,
+            "first_pass": phases(pass),
+            "cut": seconds(&report.cut),
+        });
+    }
+
     pub fn opened(&mut self, octree: &LazyOctree, picture_bytes: Bytes) {
-        let (slots, blocks) = (octree.cache().slot_count(), octree.model().blocks.len());
+        let (slots, blocks) = (octree.cache().slot_count(), octree.model().expected_block_count());
         let cache_bytes = Bytes(u64::from(slots) * octree.cache().slot_bytes().0);
         println!(
             "memory    {cache_bytes} for {} of {} ({:.0} %), {picture_bytes} for the picture",
             grouped(slots.into()),
-            counted(blocks as u64, "block"),
-            100.0 * f64::from(slots) / blocks as f64
+            counted(blocks.into(), "block"),
+            100.0 * f64::from(slots) / f64::from(blocks)
         );
         self.stats["cache"] = json!({
             "slots": slots,
@@ -180,7 +221,6 @@ fn print_blocks(report: &RenderReport) {
 }
 
 fn compile_stats(report: &CompileReport) -> Value {
-    let seconds = |seconds: &Seconds| json!({ "wall": seconds.wall, "cpu": seconds.cpu });
     json!({
         "triangles": report.triangles,
         "blocks": report.blocks,
@@ -195,15 +235,23 @@ fn compile_stats(report: &CompileReport) -> Value {
         "codec": format!("{:?}", report.codec),
         "spill_bytes": report.spill_bytes,
         "budget_peak_bytes": report.budget_peak.0,
-        "seconds": {
-            "parse": seconds(&report.seconds.parse),
-            "scatter": seconds(&report.seconds.scatter),
-            "cut": seconds(&report.seconds.cut),
-            "encode": seconds(&report.seconds.encode),
-            "write": seconds(&report.seconds.write),
-            "total": seconds(&report.seconds.total),
-        },
+        "seconds": phases(&report.seconds),
     })
+}
+
+fn phases(times: &PhaseSeconds) -> Value {
+    json!({
+        "parse": seconds(&times.parse),
+        "scatter": seconds(&times.scatter),
+        "cut": seconds(&times.cut),
+        "encode": seconds(&times.encode),
+        "write": seconds(&times.write),
+        "total": seconds(&times.total),
+    })
+}
+
+fn seconds(seconds: &Seconds) -> Value {
+    json!({ "wall": seconds.wall, "cpu": seconds.cpu })
 }
 
 /// `1 block`, `677 blocks`.

@@ -6,7 +6,7 @@ use super::point::{Point, Real};
 use crate::block::{self, BlockInput, BlockLimits, Codec, EncodeScratch};
 use crate::error::CompileError;
 use crate::geom::{Aabb, Precision, is_degenerate};
-use crate::model::SubBoxes;
+use crate::model::{CellEntry, SubBoxes};
 
 /// How blocks are to be made.
 #[derive(Clone, Copy, Debug)]
@@ -110,6 +110,14 @@ impl<P: Point> BlockMaker<P> {
         }
         self.pieces.clear();
         cutter.cut(0, count, len_max, &mut self.pieces);
+    }
+
+    /// Finds pieces again where [`BlockMaker::cut`] led to too many blocks: as few as can be promised for any triangles, each
+    /// no larger than a block, along the order that is there.
+    pub(super) fn cut_evenly(&mut self, bucket: &Bucket<P>) {
+        let len_max = CellEntry::triangles_that_always_fit(self.settings.limits);
+        self.pieces.clear();
+        self.cutter.cut_evenly(0, bucket.triangles.len(), len_max, &mut self.pieces);
     }
 
     /// How many triangles should go into a block: as many as fit if its share of vertices is that of the bucket, and

@@ -45,13 +45,7 @@ impl<P: Point> Bucket<P> {
 
     /// Reads chunks, in their order.
     pub(super) fn load(&mut self, spills: &[Spill], chunks: &[ChunkRecord]) -> Result<(), CompileError> {
-        self.vertices.clear();
-        self.triangles.clear();
-        self.ids.clear();
-        self.materials.clear();
-        let vertices: usize = chunks.iter().map(|chunk| usize::from(chunk.vertices)).sum();
-        self.table.clear();
-        self.table.resize((2 * vertices).next_power_of_two(), 0);
+        self.begin(chunks.iter().map(|chunk| usize::from(chunk.vertices)).sum());
         for record in chunks {
             self.bytes.resize(record.bytes as usize, 0);
             let spill = &spills[record.spill as usize];
@@ -62,6 +56,39 @@ impl<P: Point> Bucket<P> {
             self.add_chunk();
         }
         Ok(())
+    }
+
+    /// Empties the bucket and makes room for chunks with so many vertices.
+    fn begin(&mut self, vertices: usize) {
+        self.vertices.clear();
+        self.triangles.clear();
+        self.ids.clear();
+        self.materials.clear();
+        self.table.clear();
+        self.table.resize((2 * vertices).next_power_of_two(), 0);
+    }
+
+    /// Reads a cell of a working file: chunks, each with its length before it. Nothing is believed (I5): false if the
+    /// bytes are not chunks with these numbers of triangles and vertices.
+    pub(super) fn load_cell(&mut self, mut bytes: &[u8], triangles: usize, vertices: usize) -> bool {
+        self.begin(vertices);
+        let mut vertices_left = vertices;
+        while let Some((length, rest)) = bytes.split_first_chunk() {
+            let Some((chunk, rest)) = rest.split_at_checked(u32::from_le_bytes(*length) as usize) else {
+                return false;
+            };
+            bytes = rest;
+            if !self.chunk.read(chunk)
+                || !self.chunk.is_consistent()
+                || self.triangles.len() + self.chunk.triangles.len() > triangles
+                || self.chunk.vertices.len() > vertices_left
+            {
+                return false;
+            }
+            vertices_left -= self.chunk.vertices.len();
+            self.add_chunk();
+        }
+        bytes.is_empty() && self.triangles.len() == triangles && vertices_left == 0
     }
 
     fn add_chunk(&mut self) {

@@ -183,6 +183,9 @@ impl<P: Point> Chunk<P> {
         let Some((header, mut rest)) = bytes.split_at_checked(HEADER_BYTES) else { return false };
         let count =
             |index: usize| usize::from(u16::from_ne_bytes([header[2 * index], header[2 * index + 1]]));
+        if count(1) > CHUNK_TRIANGLES_MAX {
+            return false;
+        }
         self.first_id = bytemuck::pod_read_unaligned(&header[16..]);
         if !take(&mut rest, count(0), &mut self.vertices) {
             return false;
@@ -193,6 +196,20 @@ impl<P: Point> Chunk<P> {
             && take(&mut rest, count(4), &mut self.materials)
             && rest.is_empty()
             && self.resolve(distances)
+    }
+
+    /// Whether a chunk that anyone may have written is one that [`ChunkWriter`] could have: as many ids and materials as triangles,
+    /// ids that do not overflow, positions that a file can hold.
+    pub(super) fn is_consistent(&self) -> bool {
+        let count = self.triangles.len() as u64;
+        let ids = self.id_runs.iter().try_fold((self.first_id, 0_u64), |(id, sum), &[gap, len]| {
+            let end = id.checked_add(u64::from(gap))?.checked_add(u64::from(len))?;
+            Some((end, sum + u64::from(len)))
+        });
+        let materials: u64 = self.materials.iter().map(|&[len, _]| u64::from(len)).sum();
+        ids.is_some_and(|(_, sum)| sum == count)
+            && materials == count
+            && self.vertices.iter().all(|vertex| vertex.is_valid())
     }
 
     /// Turns distances into indices; false if one leads nowhere.
@@ -217,6 +234,19 @@ impl<P: Point> Chunk<P> {
             self.triangles.push(corners);
         }
         lowest >= 0 && usize::from(next) == self.vertices.len()
+    }
+}
+
+/// What a cell must know of a chunk that this process wrote: calls `vertex` for each vertex, and `material` for each material
+/// in turn.
+pub(super) fn survey<P: Point>(bytes: &[u8], mut vertex: impl FnMut(P), mut material: impl FnMut(u16)) {
+    let count = |index: usize| usize::from(u16::from_ne_bytes([bytes[2 * index], bytes[2 * index + 1]]));
+    let vertices = &bytes[HEADER_BYTES..HEADER_BYTES + count(0) * size_of::<P>()];
+    for bytes in vertices.chunks_exact(size_of::<P>()) {
+        vertex(bytemuck::pod_read_unaligned(bytes));
+    }
+    for run in bytes[bytes.len() - 4 * count(4)..].as_chunks::<4>().0 {
+        material(u16::from_ne_bytes([run[2], run[3]]));
     }
 }
 

@@ -31,10 +31,10 @@ use crate::import::{MeshSink, VertexBatch};
 use crate::model::{MaterialRecord, SourceRecord};
 use crate::units::{Bytes, MaterialId};
 
-/// Vertices per bucket: two triangles per vertex make 64 k triangles.
-const BUCKET_VERTICES: u64 = 32 << 10;
-/// Triangles per bucket where their number is known before the buckets are made.
+/// Triangles per bucket, at two per vertex where their number is not known before the buckets are made.
 const BUCKET_TRIANGLES: u64 = 64 << 10;
+/// About how many triangles a block has.
+const TRIANGLES_PER_BLOCK: u64 = 2500;
 /// Small batches are gathered up to this many triangles.
 const QUEUE_TRIANGLES: usize = 4096;
 /// The callback is asked at least once in so many triangles.
@@ -86,6 +86,38 @@ pub struct Compiler<'p> {
     parse: Meter,
     scatter: Meter,
     grid_memory: Option<Reservation>,
+    /// About how many triangles go into a bucket.
+    bucket_triangles: u64,
+}
+
+/// The buckets of a mesh that is complete, and what is known by then.
+pub(super) struct Settled<P: Point> {
+    pub(super) scattered: Scattered<P>,
+    /// Has the memory of the last bucket that was parted.
+    pub(super) worker: Worker<P>,
+    pub(super) settings: BlockSettings,
+    pub(super) decision: Decision,
+    pub(super) error_bound: f64,
+    /// Bytes that vertices and faces left on disk.
+    pub(super) spill_bytes: u64,
+    crew_time: Meter,
+}
+
+/// What becomes of the buckets.
+pub(super) trait Ending {
+    type Output;
+    fn end<P: Point>(self, compiler: Compiler<'_>, settled: Settled<P>)
+    -> Result<Self::Output, CompileError>;
+}
+
+/// What a compiler knows beside its buckets.
+pub(super) struct Remains {
+    pub(super) budget: MemoryBudget,
+    pub(super) quota: DiskQuota,
+    pub(super) options: CompileOptions,
+    pub(super) source: SourceRecord,
+    pub(super) materials: Vec<MaterialRecord>,
+    pub(super) seconds: PhaseSeconds,
 }
 
 /// The time of an attempt that came to nothing.
@@ -186,6 +218,7 @@ impl<'p> Compiler<'p> {
             parse: Meter::default(),
             scatter: Meter::default(),
             grid_memory: Some(grid_memory),
+            bucket_triangles: BUCKET_TRIANGLES,
             options,
         })
     }
@@ -193,6 +226,11 @@ impl<'p> Compiler<'p> {
     /// Records what the mesh is read from, so that a change can be noticed later.
     pub fn set_source(&mut self, source: SourceRecord) {
         self.source = source;
+    }
+
+    /// About how many triangles shall go into a bucket.
+    pub(super) fn set_bucket_triangles(&mut self, count: u64) {
+        self.bucket_triangles = count.max(1);
     }
 
     /// Whether `Auto` turned out to need more of the vertices than was kept, and what; asked after an error.
@@ -320,8 +358,8 @@ impl<'p> Compiler<'p> {
         let known = faces.count();
         let vertices = self.store.len() as u64;
         let vertices_max = match known {
-            0 => BUCKET_VERTICES,
-            known => (BUCKET_TRIANGLES as f64 * vertices as f64 / known as f64).ceil() as u64,
+            0 => self.bucket_triangles.div_ceil(2),
+            known => (self.bucket_triangles as f64 * vertices as f64 / known as f64).ceil() as u64,
         };
         let map = Arc::new(grid.into_buckets(vertices_max));
         if precision == Precision::Float32 {
@@ -360,18 +398,22 @@ impl<'p> Compiler<'p> {
         // What the cut needs later, beyond the memory of the vertices, which is free by then.
         let threads = self.pool.as_ref().map_or(1, |pool| pool.current_num_threads());
         let needed_later = (WORKER_BYTES * threads as u64).min(self.budget.limit().0 / 3);
+        // Two triangles per vertex, if it is not known yet how many there are.
+        let expected = self.triangles.max(2 * self.store.len() as u64);
+        let needed_later = needed_later + Output::directory_bytes(expected / TRIANGLES_PER_BLOCK);
         let headroom = (1 << 20) + needed_later.saturating_sub(self.store.memory_bytes() + GRID_BYTES);
         let share = self.budget.limit().0 / 12;
         let skip = self.options.skip_not_finite;
-        let make = |place: &SpillPlace, share: u64| {
-            Scatter::new(Arc::clone(&map), unit, place.clone(), share, headroom, skip)
+        let make = |place: &SpillPlace, share: u64, count: u64| {
+            Scatter::new(Arc::clone(&map), unit, place.clone(), share, (expected / count, headroom), skip)
         };
         if let Some(pool) = self.pool.clone()
             && self.store.is_resident()
             && let Ok(memory) = self.budget.reserve(Bytes(batch_bytes(threads)), "batches of triangles")
         {
             let count = threads as u64;
-            let scatters: Result<Vec<_>, _> = (0..count).map(|_| make(&self.place, share / count)).collect();
+            let scatters: Result<Vec<_>, _> =
+                (0..count).map(|_| make(&self.place, share / count, count)).collect();
             // Without the memory for several there may still be enough for one.
             if let Ok(scatters) = scatters {
                 let empty = VertexStore::new(self.place.clone(), 0);
@@ -382,7 +424,7 @@ impl<'p> Compiler<'p> {
             }
         }
         // The spill must not take what gathering may come to need.
-        let scatter = make(&self.place, share)?;
+        let scatter = make(&self.place, share, 1)?;
         Ok(Placer::own(scatter, self.budget.clone(), SPILL_BUFFERS))
     }
 
@@ -395,7 +437,12 @@ impl<'p> Compiler<'p> {
     ///
     /// # Errors
     /// [`CompileError`]; no file is left then, and one that had the name before is as it was.
-    pub fn finish(mut self) -> Result<CompileReport, CompileError> {
+    pub fn finish(self) -> Result<CompileReport, CompileError> {
+        self.end(Publish)
+    }
+
+    /// Scatters what is left and hands the buckets on.
+    pub(super) fn end<E: Ending>(mut self, ending: E) -> Result<E::Output, CompileError> {
         self.drain()?;
         self.left = self.parse.add_since(self.left);
         if self.triangles == 0 {
@@ -421,23 +468,26 @@ impl<'p> Compiler<'p> {
         match std::mem::replace(&mut self.stage, Stage::Done) {
             Stage::Narrow(placer) => {
                 let (scattered, crew_time) = placer.finish(&mut self.store, &AsFloat32)?;
-                self.finish_blocks(scattered, crew_time, decision)
+                let settled = self.settle(scattered, crew_time, decision)?;
+                ending.end(self, settled)
             }
             Stage::Lattice(placer, form) => {
                 let (scattered, crew_time) = placer.finish(&mut self.store, &form)?;
-                self.finish_blocks(scattered, crew_time, decision)
+                let settled = self.settle(scattered, crew_time, decision)?;
+                ending.end(self, settled)
             }
             Stage::Waiting(_) | Stage::Done => Err(CompileError::Empty),
         }
     }
 
-    fn finish_blocks<P: Point>(
-        mut self,
+    /// Frees the vertices, and parts buckets that came out too large.
+    fn settle<P: Point>(
+        &mut self,
         mut scattered: Scattered<P>,
         crew_time: Meter,
         decision: Decision,
-    ) -> Result<CompileReport, CompileError> {
-        let mut spill_bytes = self.spill_bytes + self.vertices_read().spill_bytes();
+    ) -> Result<Settled<P>, CompileError> {
+        let spill_bytes = self.spill_bytes + self.vertices_read().spill_bytes();
         let error_bound = match decision.precision {
             Precision::Float32 => self.vertices_read().move_max(),
             Precision::Lattice(lattice) => lattice.error_bound(),
@@ -449,10 +499,38 @@ impl<'p> Compiler<'p> {
 
         let limits = BlockLimits { block_bytes_max: self.options.block_bytes };
         let settings = BlockSettings { precision: decision.precision, limits, codec: self.options.codec };
-        let mut first = Worker::new(settings);
-        refine(&mut scattered, &mut first.bucket, || self.ask(Phase::Scatter, None))?;
+        let mut worker = Worker::new(settings);
+        refine(&mut scattered, &mut worker.bucket, || self.ask(Phase::Scatter, None))?;
         self.left = self.scatter.add_since(self.left);
+        Ok(Settled { scattered, worker, settings, decision, error_bound, spill_bytes, crew_time })
+    }
 
+    /// What is left when the buckets are elsewhere. `crew_time` is that of [`Settled`].
+    pub(super) fn into_remains<P: Point>(mut self, settled: &Settled<P>) -> Remains {
+        self.left = self.scatter.add_since(self.left);
+        let mut scatter = self.scatter;
+        scatter.merge(&settled.crew_time);
+        let mut total = Meter::default();
+        total.add_since(self.start);
+        Remains {
+            budget: self.budget,
+            quota: self.place.quota,
+            options: self.options,
+            source: self.source,
+            materials: self.materials,
+            seconds: PhaseSeconds {
+                parse: self.parse.seconds(),
+                scatter: scatter.seconds(),
+                total: total.seconds(),
+                ..PhaseSeconds::default()
+            },
+        }
+    }
+
+    fn publish<P: Point>(mut self, settled: Settled<P>) -> Result<CompileReport, CompileError> {
+        let Settled { scattered, worker: first, settings, decision, error_bound, mut spill_bytes, crew_time } =
+            settled;
+        let limits = settings.limits;
         // As many workers as there are threads, fewer if the budget does not hold so many.
         let (mut triangles, mut vertices) = (0, 0);
         for range in &scattered.buckets {
@@ -473,7 +551,8 @@ impl<'p> Compiler<'p> {
             workers.push(Worker::new(settings));
         }
 
-        let mut output = Output::create(&self.output, self.place.quota.clone(), decision.precision, limits)?;
+        let quota = self.place.quota.clone();
+        let mut output = Output::create(&self.output, quota, decision.precision, limits, &self.budget)?;
         let mut write = Meter::default();
         let (mut degenerate, mut duplicates) = (0, 0);
         let total = scattered.buckets.len().max(1) as f64;
@@ -631,6 +710,21 @@ impl MeshSink for Compiler<'_> {
         let part = |total: u64| if total > 0 { (consumed_bytes as f64 / total as f64).min(1.0) } else { 1.0 };
         self.fraction = total_bytes.map(part);
         self.ask(Phase::Read, self.fraction)
+    }
+}
+
+/// Cuts all buckets and publishes the compiled file.
+struct Publish;
+
+impl Ending for Publish {
+    type Output = CompileReport;
+
+    fn end<P: Point>(
+        self,
+        compiler: Compiler<'_>,
+        settled: Settled<P>,
+    ) -> Result<CompileReport, CompileError> {
+        compiler.publish(settled)
     }
 }
 

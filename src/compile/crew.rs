@@ -135,7 +135,7 @@ impl<P: Point> Crew<P> {
             time.merge(&spent);
             parts.push(part);
         }
-        Ok((Scattered::join(parts), time))
+        Ok((Scattered::join(parts)?, time))
     }
 }
 

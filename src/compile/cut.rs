@@ -23,7 +23,7 @@ pub(super) struct Box4<R> {
 }
 
 impl<R: Real> Box4<R> {
-    const EMPTY: Box4<R> = Box4 { min: [R::INFINITY; 4], max: [R::NEG_INFINITY; 4] };
+    pub(super) const EMPTY: Box4<R> = Box4 { min: [R::INFINITY; 4], max: [R::NEG_INFINITY; 4] };
 
     /// The box of a triangle.
     #[inline]
@@ -38,7 +38,7 @@ impl<R: Real> Box4<R> {
     }
 
     #[inline]
-    fn merge(&mut self, other: &Box4<R>) {
+    pub(super) fn merge(&mut self, other: &Box4<R>) {
         for i in 0..4 {
             self.min[i] = self.min[i].least(other.min[i]);
             self.max[i] = self.max[i].most(other.max[i]);
@@ -56,7 +56,7 @@ impl<R: Real> Box4<R> {
         x * y + y * z + z * x
     }
 
-    fn to_aabb(self) -> Aabb {
+    pub(super) fn to_aabb(self) -> Aabb {
         Aabb { min: [0, 1, 2].map(|i| self.min[i].to_f64()), max: [0, 1, 2].map(|i| self.max[i].to_f64()) }
     }
 
@@ -322,10 +322,20 @@ impl<R: Real> Cutter<R> {
 
     /// Pieces of triangles that cannot be told apart by place.
     fn cut_by_order(&mut self, task: &Task, pieces: &mut Vec<Piece>) {
-        let mut start = task.start;
-        let end = task.start + task.len;
+        self.cut_evenly(task.start, task.len, task.len_max, pieces);
+    }
+
+    /// Pieces of `len_max` triangles of `order[start..start + len]` as it stands.
+    pub(super) fn cut_evenly(
+        &mut self,
+        mut start: usize,
+        len: usize,
+        len_max: usize,
+        pieces: &mut Vec<Piece>,
+    ) {
+        let end = start + len;
         while start < end {
-            let len = task.len_max.min(end - start);
+            let len = len_max.min(end - start);
             let mut bounds = Box4::EMPTY;
             for triangle in &self.order[start..start + len] {
                 bounds.merge(&self.boxes[*triangle as usize]);

@@ -8,6 +8,7 @@ use super::vertices::Keep;
 use crate::budget::MemoryBudget;
 use crate::error::{CompileError, ImportError};
 use crate::import::{ImportOptions, import_file, source_record};
+use crate::model::SourceRecord;
 
 /// Compiles the model file `input` to `output`, in memory bounded by `budget`. `progress` is called some hundred times.
 ///
@@ -21,6 +22,22 @@ pub fn compile_file(
     progress: &mut dyn FnMut(Progress) -> Control,
 ) -> Result<CompileReport, CompileError> {
     let source = source_record(input)?;
+    let mut prepare = |_: &mut Compiler<'_>| ();
+    read_file(input, output, source, options, budget, progress, &mut prepare, |compiler| compiler.finish())
+}
+
+/// Reads the model file `input` into a compiler, as often as it takes, and ends the one that has all that it needs.
+#[expect(clippy::too_many_arguments, reason = "what a compile takes, and two steps of it")]
+pub(super) fn read_file<T>(
+    input: &Path,
+    output: &Path,
+    source: SourceRecord,
+    options: &CompileOptions,
+    budget: &MemoryBudget,
+    progress: &mut dyn FnMut(Progress) -> Control,
+    prepare: &mut dyn FnMut(&mut Compiler<'_>),
+    end: impl FnOnce(Compiler<'_>) -> Result<T, CompileError>,
+) -> Result<T, CompileError> {
     // A file can be read again, so the rare need for more of the vertices costs another reading and not the space to keep it
     // every time.
     let (mut keep, mut spent) = (Keep::Narrow, None);
@@ -28,6 +45,7 @@ pub fn compile_file(
         let mut compiler = Compiler::new(output, options.clone(), budget, &mut *progress)?;
         compiler.set_source(source);
         compiler.set_keep(keep);
+        prepare(&mut compiler);
         if let Some(spent) = &spent {
             compiler.add_spent(spent);
         }
@@ -38,7 +56,7 @@ pub fn compile_file(
             // Asks for more each time, so at most twice.
             (Err(_), Some(needed)) => (keep, spent) = (needed, Some(compiler.into_spent())),
             (Err(error), None) => return Err(error),
-            (Ok(()), _) => return compiler.finish(),
+            (Ok(()), _) => return end(compiler),
         }
     }
 }

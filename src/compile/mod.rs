@@ -21,6 +21,7 @@ mod faces;
 mod file;
 mod gather;
 mod grid;
+mod lazy;
 mod lookup;
 mod options;
 mod output;
@@ -29,6 +30,7 @@ mod parallel;
 mod placer;
 mod point;
 mod precision;
+mod records;
 mod refine;
 mod scatter;
 mod spill;
@@ -37,6 +39,7 @@ mod vertices;
 
 pub use compiler::Compiler;
 pub use file::compile_file;
+pub use lazy::{LazyModel, LazyOptions, LazyReport};
 pub use options::{
     AUTO_TOLERANCE, CompileOptions, CompileReport, Control, Phase, PhaseSeconds, PrecisionChoice, Progress,
     Seconds, Threads,

@@ -6,12 +6,16 @@ use std::path::{Path, PathBuf};
 use super::blocks::EncodedBucket;
 use super::temporary::{DiskQuota, TemporaryFile, write_at};
 use crate::block::BlockLimits;
+use crate::budget::{MemoryBudget, Reservation};
 use crate::error::CompileError;
 use crate::geom::Precision;
 use crate::model::{MaterialRecord, ModelWriter, NewBlock, SourceRecord};
+use crate::units::Bytes;
 
 /// Bytes that are gathered before they are written.
 const BUFFER_BYTES: usize = 1 << 20;
+/// Blocks for which memory is reserved at once at least.
+const DIRECTORY_STEP: usize = 1024;
 
 /// Writes blocks one after the other, and seals the file.
 #[derive(Debug)]
@@ -24,6 +28,11 @@ pub(super) struct Output {
     /// Where in the file the buffer goes.
     buffer_offset: u64,
     vertices: u64,
+    budget: MemoryBudget,
+    /// For the directory, and for its bytes when the file is sealed.
+    memory: Vec<Reservation>,
+    /// Blocks that `memory` has room for.
+    room: usize,
 }
 
 impl Output {
@@ -32,6 +41,7 @@ impl Output {
         quota: DiskQuota,
         precision: Precision,
         limits: BlockLimits,
+        budget: &MemoryBudget,
     ) -> Result<Output, CompileError> {
         let writer = ModelWriter::new(precision, limits)?;
         let file = TemporaryFile::create(&directory_of(path), &name_of(path), ".partial")?;
@@ -43,7 +53,30 @@ impl Output {
             buffer_offset: writer.next_offset(),
             writer,
             vertices: 0,
+            budget: budget.clone(),
+            memory: Vec::new(),
+            room: 0,
         })
+    }
+
+    /// What the directory of `blocks` blocks takes of the budget.
+    pub(super) fn directory_bytes(blocks: u64) -> u64 {
+        // As entries, which come to be copied when the list grows, and as bytes at the end.
+        blocks * 2 * ModelWriter::BYTES_PER_BLOCK
+    }
+
+    /// Reserves memory for one more block.
+    fn make_room(&mut self) -> Result<(), CompileError> {
+        if self.writer.block_count() == self.room {
+            // By a part of what there is, not to twice its size.
+            let count = DIRECTORY_STEP.max(self.room / 8);
+            let bytes = Output::directory_bytes(count as u64);
+            // Where others have left no room it grows uncounted: a compile that has come so far is not refused for it.
+            self.memory.extend(self.budget.reserve(Bytes(bytes), "the directory of the compiled file").ok());
+            self.room += count;
+            self.writer.reserve(count);
+        }
+        Ok(())
     }
 
     /// Vertices of all blocks so far.
@@ -66,6 +99,7 @@ impl Output {
         for block in &bucket.blocks {
             let stored = &bucket.bytes[start..block.end];
             start = block.end;
+            self.make_room()?;
             self.writer.push(&NewBlock {
                 stored,
                 triangle_count: block.triangle_count,

@@ -30,6 +30,27 @@ impl<P: Point> Worker<P> {
         Worker { bucket: Bucket::new(), maker: BlockMaker::new(settings), time: CutTime::default() }
     }
 
+    /// Makes the blocks of a cell of a working file, at most `blocks_max`, of which there must be enough for any triangles;
+    /// false if the bytes are not the cell.
+    pub(super) fn make_cell(
+        &mut self,
+        bytes: &[u8],
+        (triangles, vertices): (usize, usize),
+        blocks_max: usize,
+        out: &mut EncodedBucket,
+    ) -> Result<bool, CompileError> {
+        if !self.bucket.load_cell(bytes, triangles, vertices) {
+            return Ok(false);
+        }
+        self.maker.cut(&self.bucket);
+        self.maker.encode(&self.bucket, out)?;
+        if out.blocks.len() > blocks_max {
+            self.maker.cut_evenly(&self.bucket);
+            self.maker.encode(&self.bucket, out)?;
+        }
+        Ok(true)
+    }
+
     fn make(
         &mut self,
         scattered: &Scattered<P>,

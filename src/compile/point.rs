@@ -19,6 +19,9 @@ pub(super) trait Point: Pod + PartialEq + Send + Sync {
     /// The sum of three vertices in the units of `real`, or `None` if one is not valid.
     fn sum(a: Self, b: Self, c: Self) -> Option<[f64; 3]>;
 
+    /// Whether a file can hold it.
+    fn is_valid(self) -> bool;
+
     /// A hash of the exact bits.
     fn hash(self) -> u64;
 
@@ -49,6 +52,10 @@ impl Point for [f32; 3] {
         let axis = |axis: usize| f64::from(a[axis]) + f64::from(b[axis]) + f64::from(c[axis]);
         let sum = [axis(0), axis(1), axis(2)];
         (sum[0] + sum[1] + sum[2]).is_finite().then_some(sum)
+    }
+
+    fn is_valid(self) -> bool {
+        self.iter().all(|x| x.is_finite())
     }
 
     #[inline]
@@ -90,6 +97,11 @@ impl Point for [i64; 3] {
         }
         let axis = |axis: usize| a[axis] as f64 + b[axis] as f64 + c[axis] as f64;
         Some([axis(0), axis(1), axis(2)])
+    }
+
+    fn is_valid(self) -> bool {
+        // As `Lattice::quantize` gives them.
+        self.iter().all(|x| x.unsigned_abs() <= 1 << 52)
     }
 
     #[inline]

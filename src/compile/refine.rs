@@ -200,10 +200,10 @@ fn part<P: Point>(
                     spill: 0,
                     triangles,
                     vertices,
-                });
+                })?;
             }
         }
     }
-    scattered.chunks[first_chunk..].sort_by_key(|chunk| chunk.bucket);
+    scattered.chunks.sort_by_bucket(first_chunk);
     Ok(ranges_by_bucket(&scattered.chunks, first_chunk))
 }

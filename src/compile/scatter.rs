@@ -7,6 +7,7 @@ use super::chunk::{Buffered, CHUNK_TRIANGLES_MAX, ChunkRecord, ChunkWriter};
 use super::grid::BucketMap;
 use super::lookup::{Fault, Lookup, Work};
 use super::point::Point;
+use super::records::ChunkRecords;
 use super::spill::{Spill, SpillPlace};
 
 use crate::budget::Reservation;
@@ -21,7 +22,7 @@ const BUFFER_TRIANGLES_MIN: usize = 32;
 pub(super) struct Scattered<P> {
     /// One per thread that scattered; never empty.
     pub(super) spills: Vec<Spill>,
-    pub(super) chunks: Vec<ChunkRecord>,
+    pub(super) chunks: ChunkRecords,
     /// The chunks of each bucket that holds any, in octree order.
     pub(super) buckets: Vec<Range<usize>>,
     /// Source ordinals of triangles that were left out because they are not finite.
@@ -31,19 +32,19 @@ pub(super) struct Scattered<P> {
 
 impl<P: Point> Scattered<P> {
     /// Puts the buckets of several threads together. There must be at least one.
-    pub(super) fn join(parts: Vec<Scattered<P>>) -> Scattered<P> {
+    pub(super) fn join(parts: Vec<Scattered<P>>) -> Result<Scattered<P>, BudgetError> {
         let mut parts = parts.into_iter();
         // The caller has started at least one thread, and each leaves a part.
         let mut joined = parts.next().expect("at least one part");
         for part in parts {
             let spill = joined.spills.len() as u32;
             joined.spills.extend(part.spills);
-            joined.chunks.extend(part.chunks.into_iter().map(|chunk| ChunkRecord { spill, ..chunk }));
+            joined.chunks.extend(part.chunks.iter().map(|chunk| ChunkRecord { spill, ..*chunk }))?;
             joined.skipped += part.skipped;
         }
-        joined.chunks.sort_by_key(|chunk| chunk.bucket);
+        joined.chunks.sort_by_bucket(0);
         joined.buckets = ranges_by_bucket(&joined.chunks, 0);
-        joined
+        Ok(joined)
     }
 
     /// Bytes that went to temporary files.
@@ -64,7 +65,7 @@ pub(super) struct Scatter<P> {
     buckets: Vec<Bucket>,
     writer: ChunkWriter<P>,
     spill: Spill,
-    chunks: Vec<ChunkRecord>,
+    chunks: ChunkRecords,
     skip_not_finite: bool,
     skipped: u64,
     _reservation: Reservation,
@@ -83,13 +84,14 @@ struct Bucket {
 }
 
 impl<P: Point> Scatter<P> {
-    /// `unit` is the length of a coordinate step of `P`; `share` the bytes that the buffers may take.
+    /// `unit` is the length of a coordinate step of `P`; `share` the bytes that the buffers may take. The spill leaves
+    /// `spill_headroom` bytes of the budget alone, and what the list of the chunks of `triangles` triangles takes.
     pub(super) fn new(
         map: Arc<BucketMap>,
         unit: f64,
         place: SpillPlace,
         share: u64,
-        spill_headroom: u64,
+        (triangles, spill_headroom): (u64, u64),
         skip_not_finite: bool,
     ) -> Result<Scatter<P>, BudgetError> {
         let count = map.count();
@@ -97,6 +99,9 @@ impl<P: Point> Scatter<P> {
         let capacity = fitting.clamp(BUFFER_TRIANGLES_MIN, CHUNK_TRIANGLES_MAX);
         let bytes = count * (capacity * size_of::<Buffered>() + size_of::<Bucket>());
         let reservation = place.budget.reserve(Bytes(bytes as u64), "the buffers of buckets")?;
+        let chunks = ChunkRecords::new(&place.budget);
+        let spill_headroom =
+            spill_headroom + ChunkRecords::bytes_for(triangles / capacity as u64 + count as u64);
         Ok(Scatter {
             scale: map.scale() * unit / 3.0,
             capacity,
@@ -104,7 +109,7 @@ impl<P: Point> Scatter<P> {
             buckets: vec![Bucket::default(); count],
             writer: ChunkWriter::new(),
             spill: Spill::new(place, ".spill", spill_headroom)?,
-            chunks: Vec::new(),
+            chunks,
             skip_not_finite,
             skipped: 0,
             _reservation: reservation,
@@ -179,7 +184,7 @@ impl<P: Point> Scatter<P> {
             spill: 0,
             triangles: len as u16,
             vertices,
-        });
+        })?;
         bucket.materials.clear();
         bucket.len = 0;
         Ok(())
@@ -197,8 +202,8 @@ impl<P: Point> Scatter<P> {
 
     fn finish<L: Lookup<Point = P>>(mut self, lookup: &mut L) -> Result<Scattered<P>, CompileError> {
         self.flush_all(lookup)?;
-        // Stable: chunks of a bucket stay in the order of ids.
-        self.chunks.sort_by_key(|chunk| chunk.bucket);
+        // Chunks of a bucket stay in the order of ids.
+        self.chunks.sort_by_bucket(0);
         Ok(Scattered {
             spills: vec![self.spill],
             buckets: ranges_by_bucket(&self.chunks, 0),

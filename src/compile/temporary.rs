@@ -123,8 +123,9 @@ impl Drop for TemporaryFile {
     }
 }
 
+/// Whether `path` still names the open `file`.
 #[cfg(unix)]
-fn same_file(file: &File, path: &Path) -> io::Result<bool> {
+pub(super) fn same_file(file: &File, path: &Path) -> io::Result<bool> {
     use std::os::unix::fs::MetadataExt;
     let open = file.metadata()?;
     match fs::metadata(path) {
@@ -134,8 +135,9 @@ fn same_file(file: &File, path: &Path) -> io::Result<bool> {
     }
 }
 
+/// Whether `path` still names the open `file`.
 #[cfg(not(unix))]
-fn same_file(_file: &File, _path: &Path) -> io::Result<bool> {
+pub(super) fn same_file(_file: &File, _path: &Path) -> io::Result<bool> {
     // An open file can neither be renamed nor removed by others there.
     Ok(true)
 }

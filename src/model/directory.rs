@@ -122,7 +122,7 @@ impl BlockEntry {
         debug_assert_eq!(out.len() - start, ENTRY_BYTES);
     }
 
-    fn get(bytes: &[u8; ENTRY_BYTES]) -> BlockEntry {
+    pub(super) fn get(bytes: &[u8; ENTRY_BYTES]) -> BlockEntry {
         let mut fields = Fields(bytes);
         let (offset, checksum) = (fields.u64(), fields.u64());
         let (stored_bytes, triangle_count, vertex_count) = (fields.u32(), fields.u32(), fields.u32());

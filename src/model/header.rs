@@ -45,14 +45,14 @@ pub(super) struct Header {
 
 /// A part of the file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Section {
+pub(crate) struct Section {
     pub offset: u64,
     pub bytes: u64,
     pub checksum: u64,
 }
 
 impl Section {
-    fn end(self) -> Option<u64> {
+    pub fn end(self) -> Option<u64> {
         self.offset.checked_add(self.bytes)
     }
 }

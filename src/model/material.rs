@@ -85,6 +85,19 @@ impl MaterialRecord {
     }
 }
 
+/// The table of `materials`, or of the default material if there are none, and how many it has.
+pub(crate) fn table_bytes(materials: &[MaterialRecord]) -> Result<(Vec<u8>, u32), ModelError> {
+    let default = [MaterialRecord::default()];
+    let materials = if materials.is_empty() { &default } else { materials };
+    let count = u32::try_from(materials.len()).ok().filter(|count| *count <= 1 << 16);
+    let count = count.ok_or(ModelError::Limit { reason: "a file holds at most 65,536 materials" })?;
+    let mut out = Vec::new();
+    for material in materials {
+        material.put(&mut out)?;
+    }
+    Ok((out, count))
+}
+
 /// Parses a whole table of `count` materials whose first byte is at `offset` of the file.
 pub(super) fn parse_table(bytes: &[u8], count: u32, offset: u64) -> Result<Vec<MaterialRecord>, ModelError> {
     let mut rest = bytes;

@@ -2,11 +2,13 @@
 //!
 //! `header | blocks | directory | materials`, without gaps. `docs/format.md` gives every byte.
 
+mod cells;
 mod directory;
 mod header;
 mod material;
 mod read;
 mod sub_boxes;
+mod working;
 mod write;
 
 use crate::block::{BlockCheck, BlockData, BlockLimits, DecodeScratch, decode};
@@ -14,12 +16,20 @@ use crate::error::BlockError;
 use crate::geom::{Aabb, Precision};
 use crate::units::{BlockId, Bytes};
 
+pub use cells::{CellEntry, Cells};
 pub use directory::{BlockEntry, SUB_BOX_COUNT};
 pub use header::{FORMAT_VERSION, HEADER_BYTES};
 pub use material::MaterialRecord;
 pub use read::ModelReader;
 pub use sub_boxes::SubBoxes;
 pub use write::{ModelWriter, NewBlock, SealedModel};
+
+pub(crate) use header::Section;
+pub(crate) use material::table_bytes;
+pub(crate) use working::{
+    CELL_RECORD_BYTES, CellRecord, RECORD_BYTES, RefinementRecord, WORKING_HEADER_BYTES, WorkingHeader,
+    WorkingOptions,
+};
 
 /// What a compiled file says about itself, parsed and checked: everything but the blocks.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,8 +42,10 @@ pub struct Model {
     pub bounds: Aabb,
     /// Triangles in the file.
     pub triangle_count: u64,
-    /// One entry per block, in file order.
+    /// One entry per block, in file order; empty for a model that is compiled lazily.
     pub blocks: Vec<BlockEntry>,
+    /// The cells of a model that is compiled lazily, whose blocks are not known before a ray reaches them; else none.
+    pub cells: Cells,
     /// Material table; never empty (a model without materials has one default entry).
     pub materials: Vec<MaterialRecord>,
     /// What the file was compiled from.
@@ -46,7 +58,24 @@ impl Model {
         let names: usize = self.materials.iter().map(|material| material.name.capacity()).sum();
         let blocks = self.blocks.capacity() * size_of::<BlockEntry>();
         let materials = self.materials.capacity() * size_of::<MaterialRecord>();
-        Bytes((size_of::<Model>() + blocks + materials + names) as u64)
+        Bytes((size_of::<Model>() + blocks + materials + names) as u64 + self.cells.resident_bytes().0)
+    }
+
+    /// Blocks are numbered below this: how many there are, or, for a model that is compiled lazily, how many there can come to be.
+    pub fn block_id_count(&self) -> u32 {
+        // A file has at most 2^32 - 1 blocks.
+        self.blocks.len() as u32 + self.cells.block_id_count()
+    }
+
+    /// About how many blocks there are, known or not.
+    pub fn expected_block_count(&self) -> u32 {
+        self.blocks.len() as u32 + self.cells.block_count_expected()
+    }
+
+    /// Lowest and highest material of each part of the model: of its blocks, or of its cells.
+    pub fn material_ranges(&self) -> impl Iterator<Item = [u16; 2]> + '_ {
+        let cells = self.cells.entries().iter().map(|cell| cell.material_range);
+        self.blocks.iter().map(|block| block.material_range).chain(cells)
     }
 
     /// Length of the largest stored block: what a read buffer must hold.
@@ -75,9 +104,21 @@ impl Model {
         scratch: &mut DecodeScratch,
         data: &mut BlockData,
     ) -> Result<(), BlockError> {
-        let check = self.check(block);
-        let check = check.ok_or(BlockError { block, offset: 0, reason: "the file has no such block" })?;
-        decode(bytes, &check, self.precision, self.limits, scratch, data)
+        let entry = self.entry(block);
+        let entry = entry.ok_or(BlockError { block, offset: 0, reason: "the file has no such block" })?;
+        self.decode_entry(block, entry, bytes, scratch, data)
+    }
+
+    /// [`Model::decode_block`] for a block that `entry` describes.
+    pub(crate) fn decode_entry(
+        &self,
+        block: BlockId,
+        entry: &BlockEntry,
+        bytes: &[u8],
+        scratch: &mut DecodeScratch,
+        data: &mut BlockData,
+    ) -> Result<(), BlockError> {
+        decode(bytes, &entry.check(block), self.precision, self.limits, scratch, data)
     }
 }
 

@@ -1,9 +1,9 @@
 //! From the bytes of a file to a [`Model`]. The bytes are untrusted (I5).
 
-use super::Model;
 use super::directory::{DirectoryReader, ENTRY_BYTES, EntryContext};
 use super::header::{HEADER_BYTES, Header, Section};
 use super::material::parse_table;
+use super::{Cells, Model};
 use crate::error::ModelError;
 
 /// Directory entries that are read at a time.
@@ -78,6 +78,7 @@ impl ModelReader {
             bounds: header.bounds,
             triangle_count: header.triangle_count,
             blocks,
+            cells: Cells::default(),
             materials: parse_table(&table, header.material_count, offset)?,
             source: header.source,
         })

@@ -2,6 +2,7 @@
 
 use super::directory::{BlockEntry, ENTRY_BYTES, EntryContext, SUB_BOX_COUNT};
 use super::header::{FEATURE_ZSTD, HEADER_BYTES, Header, Section};
+use super::material::table_bytes;
 use super::{MaterialRecord, SourceRecord, SubBoxes};
 use crate::block::{BlockLimits, Codec, checksum};
 use crate::error::ModelError;
@@ -68,6 +69,14 @@ impl ModelWriter {
             end: HEADER_BYTES as u64,
             blocks: Vec::new(),
         })
+    }
+
+    /// Memory that a block takes in the writer.
+    pub const BYTES_PER_BLOCK: u64 = size_of::<BlockEntry>() as u64;
+
+    /// Makes room for `count` more blocks, and not more.
+    pub fn reserve(&mut self, count: usize) {
+        self.blocks.reserve_exact(count);
     }
 
     /// Where the next block goes in the file.
@@ -138,10 +147,7 @@ impl ModelWriter {
         if self.blocks.is_empty() {
             return Err(limit("the model has no triangles"));
         }
-        let default = [MaterialRecord::default()];
-        let materials = if materials.is_empty() { &default } else { materials };
-        let count = u32::try_from(materials.len()).ok().filter(|count| *count <= 1 << 16);
-        let material_count = count.ok_or(limit("a file holds at most 65,536 materials"))?;
+        let (table, material_count) = table_bytes(materials)?;
         let highest = self.blocks.iter().map(|entry| entry.material_range[1]).max().unwrap_or(0);
         if u32::from(highest) >= material_count {
             return Err(limit("a block uses a material that is not in the table"));
@@ -152,9 +158,7 @@ impl ModelWriter {
             entry.put(&mut tail);
         }
         let directory_bytes = tail.len();
-        for material in materials {
-            material.put(&mut tail)?;
-        }
+        tail.extend_from_slice(&table);
         let section = |start: usize, end: usize| Section {
             offset: self.end + start as u64,
             bytes: (end - start) as u64,

@@ -7,7 +7,8 @@
 //! passes, is built once and so with more care: by one plane at a time.
 
 use super::node::{Child, Node, PLANE_DEPTH_MAX};
-use super::sah::{best_plane, octant_planes};
+use super::options::TreeQuality;
+use super::sah::{best_plane, middle_planes, octant_planes};
 use crate::simd::{Boxes, LANES, Simd};
 
 /// The box of a primitive or of many: lowest x, y, z, an unused lane, then highest x, y, z negated and an unused lane,
@@ -96,6 +97,11 @@ impl BuildScratch {
             as u64
     }
 
+    /// How many primitives there is room for.
+    pub(super) fn capacity(&self) -> usize {
+        self.octants.len()
+    }
+
     /// Where the boxes of the primitives go before [`build_tree`].
     pub(super) fn primitives(&mut self, count: usize) -> (&mut [MinBox], &[MinBox]) {
         (&mut self.boxes[0][..count], &self.vertices)
@@ -115,7 +121,7 @@ pub(super) fn build_tree<S: Simd, L: LeafSink<S>>(
     nodes: &mut [Node],
     sink: &mut L,
 ) {
-    let mut tree = Tree::new(simd, scratch, count, nodes);
+    let mut tree = Tree::new(simd, scratch, count, TreeQuality::Best, nodes);
     let run = tree.measure(0, count, 0);
     tree.node_count = 1;
     tree.tasks.push(Task { run, node: 0, depth: 0 });
@@ -139,10 +145,11 @@ pub(super) fn build_groups<S: Simd, L: LeafSink<S>>(
     scratch: &mut BuildScratch,
     count: usize,
     boxes: &Boxes,
+    quality: TreeQuality,
     nodes: &mut [Node],
     sink: &mut L,
 ) -> Groups {
-    let mut tree = Tree::new(simd, scratch, count, nodes);
+    let mut tree = Tree::new(simd, scratch, count, quality, nodes);
     let run = tree.measure(0, count, 0);
     let mut parts = [run; LANES];
     let zero = simd.splat(0.0);
@@ -175,6 +182,7 @@ struct Tree<'a, S> {
     tasks: &'a mut Vec<Task>,
     nodes: &'a mut [Node],
     node_count: usize,
+    quality: TreeQuality,
 }
 
 /// Sorts primitives into at most eight parts.
@@ -219,13 +227,19 @@ impl<S: Simd> Classify<S> for ByGroup<S::F> {
 
 impl<'a, S: Simd> Tree<'a, S> {
     #[inline(always)]
-    fn new(simd: S, scratch: &'a mut BuildScratch, count: usize, nodes: &'a mut [Node]) -> Tree<'a, S> {
+    fn new(
+        simd: S,
+        scratch: &'a mut BuildScratch,
+        count: usize,
+        quality: TreeQuality,
+        nodes: &'a mut [Node],
+    ) -> Tree<'a, S> {
         let BuildScratch { boxes, order, octants, tasks, .. } = scratch;
         for (i, place) in order[0][..count].iter_mut().enumerate() {
             *place = i as u32;
         }
         tasks.clear();
-        Tree { simd, boxes, order, octants, tasks, nodes, node_count: 0 }
+        Tree { simd, boxes, order, octants, tasks, nodes, node_count: 0, quality }
     }
 
     /// Finishes all tasks.
@@ -321,6 +335,8 @@ impl<'a, S: Simd> Tree<'a, S> {
             let boxes = &self.boxes[usize::from(run.copy)][run.start as usize..run.end as usize];
             if L::ONE_PLANE {
                 best_plane(boxes, &run.centers)
+            } else if self.quality == TreeQuality::Quick {
+                middle_planes(&run.centers, planes_max)
             } else {
                 octant_planes(self.simd, boxes, &run.bounds, &run.centers, planes_max)
             }

@@ -4,6 +4,7 @@ use super::build::{BuildScratch, Groups, LeafSink, build_groups};
 use super::fine::{FineLayout, HEADER_BYTES, Header};
 use super::frame::Frame;
 use super::node::{Child, Node, PLACE_BYTES};
+use super::options::TreeQuality;
 use crate::block::BlockData;
 use crate::model::BlockEntry;
 use crate::simd::{AnyOperation, LANES, PackedBoxes, Simd, SimdLevel, dispatch};
@@ -19,17 +20,18 @@ pub(crate) fn build(
     level: SimdLevel,
     entry: &BlockEntry,
     data: &BlockData,
-    layout: FineLayout,
+    (layout, quality): (FineLayout, TreeQuality),
     slot: &mut [u8],
     scratch: &mut BuildScratch,
 ) {
-    dispatch(level, Build { entry, data, layout, slot, scratch });
+    dispatch(level, Build { entry, data, layout, quality, slot, scratch });
 }
 
 struct Build<'a> {
     entry: &'a BlockEntry,
     data: &'a BlockData,
     layout: FineLayout,
+    quality: TreeQuality,
     slot: &'a mut [u8],
     scratch: &'a mut BuildScratch,
 }
@@ -39,7 +41,7 @@ impl AnyOperation for Build<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Build { entry, data, layout, slot, scratch } = self;
+        let Build { entry, data, layout, quality, slot, scratch } = self;
         let frame = Frame { base: data.base, scale: layout.scale };
         // Lattice and plain f32 blocks hold exact offsets; where the scale or the span spoils that, exact positions
         // are kept beside the rounded ones.
@@ -116,7 +118,8 @@ impl AnyOperation for Build<'_> {
                 *side += if row < 3 { -2.0 * header.vertex_error } else { 2.0 * header.vertex_error };
             }
         }
-        let Groups { children, used, bounds } = build_groups(simd, scratch, count, &boxes, nodes, &mut sink);
+        let Groups { children, used, bounds } =
+            build_groups(simd, scratch, count, &boxes, quality, nodes, &mut sink);
         scratch.vertices = sink.local;
         (header.children, header.groups) = (children, used);
         header.low = [bounds[0], bounds[1], bounds[2]];

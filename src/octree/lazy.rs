@@ -8,18 +8,19 @@ use super::build::BuildScratch;
 use super::coarse::CoarseTree;
 use super::fine::FineLayout;
 use super::frame::{Frame, Space};
+use super::grown::Reached;
 use super::touched::TouchedBlocks;
-use super::{LeafLayout, OctreeOptions, Tier};
+use super::{LeafLayout, OctreeOptions, Tier, TreeQuality};
 use crate::access::AccessRecorder;
-use crate::block::{BlockData, DecodeScratch};
+use crate::block::{BlockData, BlockLimits, DecodeScratch};
 use crate::budget::{MemoryBudget, Reservation};
 use crate::cache::{GeometryCache, Policy};
-use crate::error::{AccessTraceError, BudgetError, TraceError};
+use crate::error::{AccessTraceError, BudgetError, LoadError, TraceError};
 use crate::geom::Precision;
-use crate::model::Model;
+use crate::model::{BlockEntry, Model};
 use crate::simd::SimdLevel;
 use crate::source::BlockSource;
-use crate::units::Bytes;
+use crate::units::{BlockId, Bytes};
 
 /// An octree over a compiled model, of which only the upper part exists at first: a tree over the blocks' boxes. The
 /// part inside a block is built when a ray first reaches it, in a slot of the cache, and is forgotten with the slot.
@@ -37,6 +38,7 @@ pub struct LazyOctree {
     pub(crate) layout: FineLayout,
     pub(crate) level: SimdLevel,
     pub(crate) tier: Tier,
+    pub(crate) quality: TreeQuality,
     pub(crate) budget: MemoryBudget,
     pub(crate) touched: TouchedBlocks,
     /// Where tracers write down which blocks they enter, if anywhere.
@@ -68,7 +70,7 @@ impl LazyOctree {
         options: OctreeOptions,
     ) -> Result<LazyOctree, TraceError> {
         let parts = Parts::new(&source, budget, &options)?;
-        let block_count = parts.model.blocks.len() as u32;
+        let block_count = parts.model.block_id_count();
         let tracers = u64::from(options.tracers_max.max(1));
         let aside = tracers.saturating_mul(tracer_bytes(&*source).0);
         let available = budget.available().0.saturating_sub(aside);
@@ -83,7 +85,10 @@ impl LazyOctree {
         let expanded = match options.leaf_layout {
             LeafLayout::Expanded => true,
             LeafLayout::Indexed => false,
-            LeafLayout::Auto => slots_of(true) >= slots_max.min(block_count.div_ceil(4)).max(slots_least),
+            LeafLayout::Auto => {
+                let quarter = parts.model.expected_block_count().div_ceil(4);
+                slots_of(true) >= slots_max.min(quarter).max(slots_least)
+            }
         };
         let slot_count = slots_of(expanded);
         if slot_count < slots_least {
@@ -121,7 +126,7 @@ impl LazyOctree {
             LeafLayout::Indexed => false,
             LeafLayout::Auto => cache.slot_bytes() >= parts.slot_bytes(true),
         };
-        let slots_least = options.tracers_max.max(1).min(parts.model.blocks.len() as u32);
+        let slots_least = options.tracers_max.max(1).min(parts.model.block_id_count());
         let needed = [
             (parts.slot_bytes(expanded), cache.slot_bytes(), "a block's tree in a slot of the given cache"),
             (
@@ -155,7 +160,7 @@ impl LazyOctree {
         &mut self,
         writer: Box<dyn Write + Send>,
     ) -> Result<Arc<AccessRecorder>, AccessTraceError> {
-        let block_count = self.model.blocks.len() as u32;
+        let block_count = self.model.block_id_count();
         let recorder = AccessRecorder::new(writer, block_count, self.cache.slot_bytes())?;
         self.accesses = Some(Arc::clone(&recorder));
         Ok(recorder)
@@ -199,6 +204,20 @@ impl LazyOctree {
         self.level
     }
 
+    /// What is known of a block: of any in a compiled model, of one whose cell a ray has reached in one that is compiled lazily.
+    pub(crate) fn entry(&self, block: BlockId) -> Option<&BlockEntry> {
+        self.model.entry(block).or_else(|| self.coarse.grown_entry(block))
+    }
+
+    /// What a leaf beyond those of the tree stands for; cuts a cell that no ray has reached before.
+    ///
+    /// # Panics
+    /// If the model is not compiled lazily.
+    #[inline(never)]
+    pub(crate) fn reach(&self, leaf: u32) -> Result<Reached<'_>, LoadError> {
+        self.coarse.grown().reach(leaf, self.coarse.frame, &*self.source)
+    }
+
     /// The right to make one more tracer.
     pub(crate) fn permit(&self) -> Result<TracerPermit<'_>, BudgetError> {
         let limit = self.tracers_max.max(1);
@@ -218,6 +237,11 @@ impl LazyOctree {
     /// entered. Does not depend on cache size, load order or threads.
     pub fn blocks_touched(&self) -> u64 {
         self.touched.count()
+    }
+
+    /// How many blocks there are; of a model that is compiled lazily, how many there are in the cells that rays have reached.
+    pub fn block_count(&self) -> u64 {
+        self.model.blocks.len() as u64 + self.coarse.grown_block_count()
     }
 
     /// How many tracers may live at once.
@@ -256,7 +280,7 @@ impl Parts {
     ) -> Result<Parts, TraceError> {
         let model = Arc::clone(source.model());
         let directory = budget.reserve(
-            Bytes(model.resident_bytes().0 + TouchedBlocks::bytes_needed(model.blocks.len()).0),
+            Bytes(model.resident_bytes().0 + TouchedBlocks::bytes_needed(model.block_id_count() as usize).0),
             "the model's directory and materials",
         )?;
         let level = match options.simd {
@@ -282,7 +306,7 @@ impl Parts {
     ) -> LazyOctree {
         LazyOctree {
             source,
-            touched: TouchedBlocks::new(self.model.blocks.len()),
+            touched: TouchedBlocks::new(self.model.block_id_count() as usize),
             accesses: None,
             space: Space::new(self.model.bounds, self.coarse.frame, self.coarse.is_shared),
             model: self.model,
@@ -291,6 +315,7 @@ impl Parts {
             layout: FineLayout { expanded, scale: self.scale },
             level: self.level,
             tier: options.tier,
+            quality: options.quality,
             budget: budget.clone(),
             tracers_max: options.tracers_max,
             tracer_count: AtomicU32::new(0),
@@ -303,10 +328,20 @@ impl FineLayout {
     fn for_model(self, model: &Model) -> Bytes {
         // Lattice blocks of great extent and scaled blocks keep exact positions beside the rounded ones.
         let wide = self.scale != 1.0 || model.precision != Precision::Float32;
-        let sizes = model
-            .blocks
-            .iter()
-            .map(|entry| self.slot_bytes(entry.triangle_count as usize, entry.vertex_count as usize, wide));
+        let bytes = |triangles, vertices| self.slot_bytes(triangles as usize, vertices as usize, wide);
+        let sizes = model.blocks.iter().map(|entry| bytes(entry.triangle_count, entry.vertex_count));
+        let largest = sizes.max().unwrap_or(Bytes(0));
+        if model.cells.is_empty() { largest } else { largest.max(self.for_any_block(model.limits, wide)) }
+    }
+
+    /// For every block that keeps to the limits: the more triangles, the fewer vertices.
+    fn for_any_block(self, limits: BlockLimits, wide: bool) -> Bytes {
+        let sizes = (1..=limits.triangle_count_max()).map(|triangles| {
+            let left = (limits.block_bytes_max as usize)
+                .saturating_sub(BlockLimits::decoded_bytes(0, triangles, false));
+            let vertices = (left / 12).min(limits.vertex_count_max()).min(3 * triangles);
+            self.slot_bytes(triangles, vertices, wide)
+        });
         sizes.max().unwrap_or(Bytes(0))
     }
 }

@@ -6,6 +6,7 @@ mod coarse;
 mod fill;
 mod fine;
 mod frame;
+mod grown;
 mod lazy;
 mod node;
 mod options;
@@ -15,12 +16,13 @@ mod sah;
 mod touched;
 
 pub use lazy::LazyOctree;
-pub use options::{LeafLayout, OctreeOptions, Tier};
+pub use options::{LeafLayout, OctreeOptions, Tier, TreeQuality};
 
 pub(crate) use build::BuildScratch;
 pub(crate) use coarse::CoarseTree;
 pub(crate) use fill::build;
 pub(crate) use fine::{Fine, TriangleLocation};
+pub(crate) use grown::Reached;
 pub(crate) use lazy::{TracerPermit, tracer_bytes};
 pub(crate) use node::{Child, LEVELS_MAX, STACK_MAX};
 pub(crate) use ray::{LocalRay, QueryRay, splat_interval};

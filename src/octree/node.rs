@@ -5,9 +5,9 @@ use crate::simd::{Boxes, LANES};
 /// No tree is deeper: after this many levels of planes the builder splits by order, into eighths.
 pub(super) const PLANE_DEPTH_MAX: u32 = 24;
 
-/// Room for a traversal of both levels: each level of a tree leaves at most seven children waiting. Splitting by order
-/// ends within 11 levels for 2^31 primitives.
-pub(crate) const STACK_MAX: usize = 2 * (7 * LEVELS_MAX + 2);
+/// Room for a traversal of the tree over cells, of one over the blocks of a cell, and of one inside a block: each level of a tree leaves
+/// at most seven children waiting. Splitting by order ends within 11 levels for 2^31 primitives.
+pub(crate) const STACK_MAX: usize = 3 * (7 * LEVELS_MAX + 2);
 
 /// Most levels of one tree, leaves included.
 pub(crate) const LEVELS_MAX: usize = PLANE_DEPTH_MAX as usize + 12;

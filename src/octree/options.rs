@@ -53,6 +53,17 @@ pub enum LeafLayout {
     Indexed,
 }
 
+/// How much work goes into the tree inside a block, each time that the block is loaded. Hits do not depend on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum TreeQuality {
+    /// Planes in the middle of the centres: much faster to build, somewhat slower to trace. Best where a loaded block
+    /// is entered by few rays: for one small picture, or a cache that is much too small.
+    Quick,
+    /// Planes by the surface area heuristic.
+    #[default]
+    Best,
+}
+
 /// How an octree is opened. `..Default::default()` gives one tracer with certified hits and the best instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OctreeOptions {
@@ -64,6 +75,8 @@ pub struct OctreeOptions {
     pub simd: Option<SimdLevel>,
     /// How sure hits are.
     pub tier: Tier,
+    /// How much work goes into trees.
+    pub quality: TreeQuality,
     /// Most cache slots to make, to leave memory to others or to measure small caches. `None`: as many as the budget
     /// holds, never more than there are blocks. Used by [`LazyOctree::open`](super::LazyOctree::open) only.
     pub slots_max: Option<u32>,
@@ -81,6 +94,7 @@ impl Default for OctreeOptions {
             leaf_layout: LeafLayout::Auto,
             simd: None,
             tier: Tier::Certified,
+            quality: TreeQuality::Best,
             slots_max: None,
             policy: Policy::Lru,
             follow_free_memory: None,

@@ -13,6 +13,36 @@ const FINE_BIN_COUNT: usize = 8;
 /// A fine node gets a plane on each axis whose best plane gains at least this part of what the best of all gains.
 const GATE: f32 = 0.8;
 
+/// A fine node that is built quickly gets a plane on each axis along which its centres spread at least this part of how far they
+/// spread along the longest.
+const EXTENT_GATE: f32 = 0.3;
+
+/// Planes in the middle of the centres, without a look at the primitives: twice their positions, and a bit for each axis that has
+/// one, at most `planes_max`. `None` if the centres have no extent.
+#[inline(always)]
+pub(super) fn middle_planes(centers: &MinBox, planes_max: u32) -> Option<(MinBox, u32)> {
+    let extent = |axis: usize| -centers[axis + 4] - centers[axis];
+    let mut axes = [0usize, 1, 2];
+    for (i, j) in [(0, 1), (1, 2), (0, 1)] {
+        if extent(axes[j]) > extent(axes[i]) {
+            axes.swap(i, j);
+        }
+    }
+    let longest = extent(axes[0]);
+    // False for NaN, and for what overflowed.
+    if !(longest > 0.0 && longest < f32::INFINITY) {
+        return None;
+    }
+    let (mut planes, mut mask) = (EMPTY, 0);
+    for axis in &axes[..planes_max as usize] {
+        if extent(*axis) >= EXTENT_GATE * longest {
+            mask |= 1 << axis;
+            planes[*axis] = 0.5 * centers[*axis] - 0.5 * centers[*axis + 4];
+        }
+    }
+    Some((planes, mask))
+}
+
 /// Planes that split a fine node into octants: twice their positions, and a bit for each axis that has one, at most
 /// `planes_max`. `None` if no plane separates the centres.
 #[inline(always)]
@@ -157,6 +187,9 @@ mod tests {
         assert_eq!(mask, 1);
         assert!(planes[0] > 7.0 && planes[0] < 201.0);
         let one_place = [1.0, 1.0, 1.0, 0.0, -1.0, -1.0, -1.0, 0.0];
+        let (planes, mask) = middle_planes(&centers, 3).unwrap();
+        assert_eq!((mask, planes[0]), (1, 101.0));
+        assert_eq!(middle_planes(&one_place, 3), None);
         assert_eq!(octant_planes(Portable, &[boxes[0]; 9], &boxes[0], &one_place, 3), None);
         assert_eq!(best_plane(&boxes[..1], &[1.0, 1.0, 1.0, 0.0, -1.0, -1.0, -1.0, 0.0]), None);
     }

@@ -118,7 +118,7 @@ impl<'a> Renderer<'a> {
             trace: totals.trace,
             cache: since(&cache_before, &self.octree.cache().stats()),
             blocks_touched: self.octree.blocks_touched(),
-            blocks_total: self.octree.model().blocks.len() as u64,
+            blocks_total: self.octree.block_count(),
             memory,
             budget_peak: self.budget.peak(),
         };

@@ -118,8 +118,8 @@ impl EffectPlan {
     /// A material counts as used if a block's material range holds it, so no block is read.
     pub fn scan(scene: &Scene, model: &Model, options: &EffectOptions) -> EffectPlan {
         let mut used = vec![false; model.materials.len()];
-        for block in &model.blocks {
-            let [low, high] = block.material_range.map(usize::from);
+        for range in model.material_ranges() {
+            let [low, high] = range.map(usize::from);
             let end = used.len().min(high + 1);
             used[low.min(end)..end].fill(true);
         }

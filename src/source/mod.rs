@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use crate::error::SourceError;
-use crate::model::Model;
-use crate::units::{BlockId, Bytes};
+use crate::error::{CompileError, LoadError, SourceError};
+use crate::model::{BlockEntry, Model};
+use crate::units::{BlockId, Bytes, CellId};
 
 mod disk;
+mod lazy;
 mod memory;
 mod mmap;
 pub mod testing;
@@ -34,6 +35,17 @@ pub trait BlockSource: Send + Sync {
     /// # Errors
     /// [`SourceError`]; `into` then holds nothing useful.
     fn read_block(&self, block: BlockId, into: &mut Vec<u8>) -> Result<(), SourceError>;
+
+    /// The directory entries of the blocks of `cell`, by number from [`CellEntry::first_block`](crate::model::CellEntry) on, for a
+    /// model that is compiled lazily: [`Model::cells`] is not empty. Cuts the cell into these blocks if that was not done yet, which
+    /// takes as long as some thousand rays. After it `read_block` can read them; the answer is always the same.
+    ///
+    /// # Errors
+    /// [`LoadError`]; then it may be tried again.
+    fn cut_cell(&self, cell: CellId) -> Result<Arc<[BlockEntry]>, LoadError> {
+        let reason = format!("the source has no cell {}", cell.0);
+        Err(LoadError::Cut(Box::new(CompileError::Limit { reason })))
+    }
 }
 
 /// The place of a block in the file.
@@ -47,7 +59,7 @@ fn place_of(model: &Model, block: BlockId, name: &str) -> Result<(u64, usize), S
             block,
             name: name.to_owned(),
             // The directory has at most 2^32 - 1 entries.
-            count: model.blocks.len() as u32,
+            count: model.block_id_count(),
         }),
     }
 }

@@ -6,7 +6,7 @@ use super::policy::{Candidate, Policy};
 use super::stack::{Limit, Stack};
 use super::{MaterialSet, Occlusion};
 use crate::geom::Ray;
-use crate::octree::{Child, Fine, LocalRay, QueryRay, TriangleLocation, splat_interval};
+use crate::octree::{Child, Fine, LocalRay, QueryRay, Reached, TriangleLocation, splat_interval};
 use crate::simd::{Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
@@ -120,7 +120,17 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
         work.counters.box_tests += 1;
         if child.is_leaf() {
             let block = child.block_index();
-            let sub_boxes = &coarse.sub_boxes[block as usize];
+            let sub_boxes = match coarse.sub_boxes.get(block as usize) {
+                Some(sub_boxes) => sub_boxes,
+                None => match work.octree.reach(block)? {
+                    Reached::Block(sub_boxes) => sub_boxes,
+                    Reached::Cell(root) => {
+                        work.counters.box_tests -= 1;
+                        child = root;
+                        continue;
+                    }
+                },
+            };
             let (_, hits) = any.local.boxes.test_packed(simd, sub_boxes, any.outer.low, any.outer.high);
             if hits != 0 {
                 match work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)? {
@@ -151,7 +161,7 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
                 }
             }
         } else {
-            let node = &coarse.nodes[child.node_index()];
+            let node = coarse.node(child);
             let (near, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
             if hits != 0 {
                 // In order of distance: what blocks a ray is often near, and then fewer blocks are touched.

@@ -8,7 +8,7 @@ use super::policy::{Candidate, Policy};
 use super::stack::{Entries, Limit, Stack};
 use crate::geom::{Ray, TriangleHit};
 use crate::octree::{
-    Child, Fine, LazyOctree, LocalRay, QueryRay, RayGroup, TriangleLocation, splat_interval,
+    Child, Fine, LazyOctree, LocalRay, QueryRay, RayGroup, Reached, TriangleLocation, splat_interval,
 };
 use crate::simd::{Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
@@ -112,7 +112,17 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
         let Closest { local, interval, .. } = &closest;
         if child.is_leaf() {
             let block = child.block_index();
-            let sub_boxes = &coarse.sub_boxes[block as usize];
+            let sub_boxes = match coarse.sub_boxes.get(block as usize) {
+                Some(sub_boxes) => sub_boxes,
+                None => match work.octree.reach(block)? {
+                    Reached::Block(sub_boxes) => sub_boxes,
+                    Reached::Cell(root) => {
+                        work.counters.box_tests -= 1;
+                        child = root;
+                        continue;
+                    }
+                },
+            };
             let (near, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
                 if !closest.kept.pass(|| stack.least_near(simd, near, hits), closest.query) {
@@ -140,7 +150,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
                 }
             }
         } else {
-            let node = &coarse.nodes[child.node_index()];
+            let node = coarse.node(child);
             let (near, hits) = local.boxes.test(simd, &node.bounds, interval.low, interval.high);
             if hits != 0 {
                 child = stack.push_sorted(simd, &node.children, near, hits);

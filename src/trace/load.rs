@@ -3,7 +3,7 @@
 use crate::access::{AccessLog, QueryKind};
 use crate::block::{BlockData, DecodeScratch};
 use crate::cache::Pin;
-use crate::error::LoadError;
+use crate::error::{BlockError, LoadError};
 use crate::octree::{BuildScratch, LazyOctree, build};
 use crate::source::BlockSource;
 use crate::stats::TraceCounters;
@@ -48,9 +48,10 @@ impl LoadScratch {
         counters: &mut TraceCounters,
     ) -> Result<(), LoadError> {
         octree.source.read_block(block, &mut self.stored)?;
-        octree.model.decode_block(block, &self.stored, &mut self.decode, &mut self.data)?;
-        let entry = &octree.model.blocks[block.0 as usize];
-        build(octree.level, entry, &self.data, octree.layout, slot, &mut self.build);
+        let entry = octree.entry(block);
+        let entry = entry.ok_or(BlockError { block, offset: 0, reason: "the model has no such block" })?;
+        octree.model.decode_entry(block, entry, &self.stored, &mut self.decode, &mut self.data)?;
+        build(octree.level, entry, &self.data, (octree.layout, octree.quality), slot, &mut self.build);
         octree.touched.insert(block);
         if self.filled.len() < FILLED_MAX {
             self.filled.push(block);

@@ -101,7 +101,7 @@ impl LazyOctree {
     /// `tracers_max` tracers live already.
     pub fn ray_pool(&self, options: PoolOptions) -> Result<RayPool<'_>, TraceError> {
         let tracer = self.tracer()?;
-        let block_count = self.model().blocks.len();
+        let block_count = self.model().block_id_count() as usize;
         let bytes = RayPool::bytes_needed(&options, block_count);
         let reservation = self.budget.reserve(bytes, "a pool of suspended rays")?;
         Ok(RayPool {

@@ -160,14 +160,18 @@ impl<'e> Stack<'e> {
         interval: &Interval<S::F>,
     ) -> Child {
         let leaf = Child::block(block.0);
-        let mut way = [leaf; LEVELS_MAX + 1];
+        let mut way = [leaf; 2 * LEVELS_MAX + 2];
         let mut depth = 0;
         while let Some(parent) = coarse.parent(way[depth]) {
             depth += 1;
             way[depth] = parent;
         }
         for level in (1..=depth).rev() {
-            let node = &coarse.nodes[way[level].node_index()];
+            if way[level].is_leaf() {
+                // A cell: its root stands for it.
+                continue;
+            }
+            let node = coarse.node(way[level]);
             let (near, hits) = boxes.test(simd, &node.bounds, interval.low, interval.high);
             self.push_sorted_behind(simd, &node.children, near, hits, way[level - 1]);
         }

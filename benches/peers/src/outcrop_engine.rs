@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use outcrop::MemoryBudget;
-use outcrop::compile::{CompileOptions, CompileReport, Control, compile_file};
+use outcrop::compile::{CompileOptions, CompileReport, Control, LazyModel, LazyOptions, compile_file};
 use outcrop::octree::{LazyOctree, OctreeOptions, Tier};
 use outcrop::source::{BlockSource, DiskSource};
 use outcrop::stats::TraceCounters;
@@ -24,10 +24,27 @@ pub fn compile(model: &Path, output: &Path, budget: Bytes) -> Result<CompileRepo
 
 /// Opens a compiled file for one tracer.
 pub fn open(compiled: &Path, budget: Bytes, tier: Tier) -> Result<LazyOctree, String> {
+    open_with(compiled, budget, OctreeOptions { tier, ..OctreeOptions::default() })
+}
+
+/// Opens a compiled file.
+pub fn open_with(compiled: &Path, budget: Bytes, options: OctreeOptions) -> Result<LazyOctree, String> {
     let source: Arc<dyn BlockSource> =
         Arc::new(DiskSource::open(compiled).map_err(|error| error.to_string())?);
-    let options = OctreeOptions { tier, ..OctreeOptions::default() };
     LazyOctree::open(source, &MemoryBudget::new(budget), options).map_err(|error| error.to_string())
+}
+
+/// Opens a model file, or what an earlier run left of it beside `output`, for one tracer; it is compiled as rays reach it.
+pub fn open_lazily(
+    model: &Path,
+    output: &Path,
+    budget: Bytes,
+    options: OctreeOptions,
+) -> Result<LazyOctree, String> {
+    let budget = MemoryBudget::new(budget);
+    let lazy = LazyModel::open(model, output, &LazyOptions::default(), &budget, &mut |_| Control::Continue);
+    let source: Arc<dyn BlockSource> = Arc::new(lazy.map_err(|error| error.to_string())?);
+    LazyOctree::open(source, &budget, options).map_err(|error| error.to_string())
 }
 
 pub struct Outcrop<'o> {

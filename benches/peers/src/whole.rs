@@ -7,9 +7,9 @@ use std::process::Command;
 use std::sync::Arc;
 
 use outcrop::MemoryBudget;
-use outcrop::compile::{Control, Threads};
+use outcrop::compile::{Control, LazyModel, Threads};
 use outcrop::error::Error;
-use outcrop::octree::{LazyOctree, OctreeOptions, Tier};
+use outcrop::octree::{LazyOctree, OctreeOptions, Tier, TreeQuality};
 use outcrop::render::{RenderSettings, Renderer};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::{BlockSource, DiskSource};
@@ -19,7 +19,7 @@ use crate::clock::median;
 use crate::embree::{Embree, Mode};
 use crate::engine::Engine;
 use crate::mesh::Mesh;
-use crate::outcrop_engine::{Outcrop, compile, open};
+use crate::outcrop_engine::{Outcrop, compile, open, open_lazily, open_with};
 use crate::picture;
 use crate::rays::{EYE, LIGHTS, VERTICAL_FIELD_DEGREES};
 
@@ -29,11 +29,14 @@ const SIZE: usize = 512;
 const MEMORY: Bytes = Bytes::mib(160);
 
 /// The jobs, by the names under which the program calls itself; the first is what the others are compared with.
-const JOBS: [(&str, &str); 6] = [
+const JOBS: [(&str, &str); 9] = [
     ("embree-compact-low", "Embree compact, low"),
     ("embree-default", "Embree default"),
     ("outcrop", "outcrop: compile, trace, same shading"),
     ("outcrop-compiled", "outcrop: the compiled file, same shading"),
+    ("outcrop-compiled-quick", "outcrop: the compiled file, quick trees, same shading"),
+    ("outcrop-lazy", "outcrop: lazy compile, quick trees, same shading"),
+    ("outcrop-lazy-again", "outcrop: the same again, from the working file"),
     ("outcrop-render", "outcrop: compile and `Renderer`"),
     ("outcrop-render-compiled", "outcrop: the compiled file, `Renderer`"),
 ];
@@ -54,6 +57,19 @@ pub fn job(name: &str, model: &Path, output: &Path, compiled: &Path) -> Result<(
             }
             render(compiled, output).map_err(|error| error.to_string())?;
         }
+        "outcrop-compiled-quick" | "outcrop-lazy" | "outcrop-lazy-again" => {
+            let options = OctreeOptions { quality: TreeQuality::Quick, ..OctreeOptions::default() };
+            let lazy = lazy_output(compiled);
+            if name == "outcrop-lazy" {
+                // The first run may not find what an earlier one left.
+                _ = std::fs::remove_file(LazyModel::working_path(&lazy));
+            }
+            let octree = match name {
+                "outcrop-compiled-quick" => open_with(compiled, MEMORY, options)?,
+                _ => open_lazily(model, &lazy, MEMORY, options)?,
+            };
+            draw(&mut Outcrop::new("outcrop", &octree)?)?;
+        }
         "outcrop" | "outcrop-compiled" => {
             if name == "outcrop" {
                 compile(model, compiled, MEMORY)?;
@@ -64,6 +80,11 @@ pub fn job(name: &str, model: &Path, output: &Path, compiled: &Path) -> Result<(
     }
     println!("{}", peak_kib().unwrap_or(0));
     Ok(())
+}
+
+/// Where a lazy compile would leave the compiled file; its working file is beside it.
+fn lazy_output(compiled: &Path) -> PathBuf {
+    compiled.with_extension("lazy")
 }
 
 /// The same picture by the library's own renderer.
@@ -106,7 +127,7 @@ pub fn run(model: &Path, repetitions: usize) -> Result<(), String> {
     let mut runs = [const { Vec::new() }; JOBS.len()];
     for _ in 0..repetitions {
         for (runs, (name, _)) in runs.iter_mut().zip(JOBS) {
-            for file in [model, &compiled] {
+            for file in [model, &compiled, &LazyModel::working_path(&lazy_output(&compiled))] {
                 forget(file);
             }
             runs.push(child(name, model, &output(name), &compiled)?);

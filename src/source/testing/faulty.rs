@@ -4,10 +4,10 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
-use crate::error::SourceError;
-use crate::model::Model;
+use crate::error::{LoadError, SourceError};
+use crate::model::{BlockEntry, Model};
 use crate::source::BlockSource;
-use crate::units::{BlockId, Bytes};
+use crate::units::{BlockId, Bytes, CellId};
 
 /// How often each fault strikes, as a share of all reads from 0 to 1. All zero by default: transparent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,7 +34,7 @@ pub struct FaultySource<S> {
 impl<S: BlockSource> FaultySource<S> {
     /// Breaks reads of `source` as often as `rates` says.
     pub fn new(source: S, seed: u64, rates: FaultRates) -> FaultySource<S> {
-        let reads = source.model().blocks.iter().map(|_| AtomicU32::new(0)).collect();
+        let reads = (0..source.model().block_id_count()).map(|_| AtomicU32::new(0)).collect();
         FaultySource { source, seed, rates, reads, faults: AtomicU64::new(0) }
     }
 
@@ -73,6 +73,10 @@ impl<S: BlockSource> BlockSource for FaultySource<S> {
 
     fn buffer_bytes(&self) -> Bytes {
         self.source.buffer_bytes()
+    }
+
+    fn cut_cell(&self, cell: CellId) -> Result<Arc<[BlockEntry]>, LoadError> {
+        self.source.cut_cell(cell)
     }
 
     fn read_block(&self, block: BlockId, into: &mut Vec<u8>) -> Result<(), SourceError> {

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::error::SourceError;
-use crate::model::Model;
+use crate::error::{LoadError, SourceError};
+use crate::model::{BlockEntry, Model};
 use crate::source::BlockSource;
-use crate::units::{BlockId, Bytes};
+use crate::units::{BlockId, Bytes, CellId};
 
 /// Wraps a source and delays its reads like a device: every read waits for its latency, alone, and all reads share one
 /// bandwidth.
@@ -49,6 +49,10 @@ impl<S: BlockSource> BlockSource for SlowSource<S> {
 
     fn buffer_bytes(&self) -> Bytes {
         self.source.buffer_bytes()
+    }
+
+    fn cut_cell(&self, cell: CellId) -> Result<Arc<[BlockEntry]>, LoadError> {
+        self.source.cut_cell(cell)
     }
 
     fn read_block(&self, block: BlockId, into: &mut Vec<u8>) -> Result<(), SourceError> {

@@ -1,0 +1,110 @@
+//! The working file on disk: open, locked, and inside the caller's limit on disk space.
+
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::super::temporary::{DiskQuota, read_at, same_file, write_at};
+use crate::error::CompileError;
+
+/// What the name of a working file adds to that of the compiled file.
+const SUFFIX: &str = ".working";
+
+/// Locked as long as it lives: the system lets go of the lock when the process ends, however that happens.
+#[derive(Debug)]
+pub(super) struct WorkingFile {
+    file: File,
+    path: PathBuf,
+    quota: DiskQuota,
+}
+
+impl WorkingFile {
+    /// Where the working file of a compile to `output` is.
+    pub fn path_for(output: &Path) -> PathBuf {
+        let mut name: OsString = output.as_os_str().to_os_string();
+        name.push(SUFFIX);
+        PathBuf::from(name)
+    }
+
+    /// Opens the working file of a compile to `output`, or makes an empty one.
+    ///
+    /// # Errors
+    /// [`CompileError::Locked`] if it is in use.
+    pub fn lock(output: &Path, quota: DiskQuota) -> Result<WorkingFile, CompileError> {
+        let path = WorkingFile::path_for(output);
+        let write = |error| CompileError::Write { path: path.clone(), error };
+        loop {
+            let mut options = OpenOptions::new();
+            let file = options.read(true).write(true).create(true).truncate(false).open(&path);
+            let file = file.map_err(write)?;
+            match file.try_lock() {
+                Ok(()) => {}
+                Err(fs::TryLockError::WouldBlock) => return Err(CompileError::Locked { path }),
+                // A file system without locks: then it is for the user to keep runs apart.
+                Err(fs::TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
+                Err(fs::TryLockError::Error(error)) => return Err(write(error)),
+            }
+            // Between open and lock the owner may have finished and removed it.
+            if same_file(&file, &path).map_err(write)? {
+                return Ok(WorkingFile { file, path, quota });
+            }
+        }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// How long it is.
+    pub fn len(&self) -> Result<u64, CompileError> {
+        let metadata = self.file.metadata();
+        Ok(metadata.map_err(|error| CompileError::Write { path: self.path.clone(), error })?.len())
+    }
+
+    /// Fills `into` from `offset` on.
+    pub fn read(&self, offset: u64, into: &mut [u8]) -> Result<(), CompileError> {
+        read_at(&self.file, offset, into).map_err(|error| self.damaged(offset, error.to_string()))
+    }
+
+    /// As [`WorkingFile::read`], with the system's own error.
+    pub fn read_raw(&self, offset: u64, into: &mut [u8]) -> io::Result<()> {
+        read_at(&self.file, offset, into)
+    }
+
+    /// Writes `bytes`, which count against the limit on disk space.
+    pub fn write(&self, offset: u64, bytes: &[u8]) -> Result<(), CompileError> {
+        let write = |error| CompileError::Write { path: self.path.clone(), error };
+        self.quota.take(bytes.len() as u64).map_err(write)?;
+        write_at(&self.file, offset, bytes).map_err(write)
+    }
+
+    /// Takes away what is behind `length`.
+    pub fn truncate(&self, length: u64) -> Result<(), CompileError> {
+        self.file.set_len(length).map_err(|error| CompileError::Write { path: self.path.clone(), error })
+    }
+
+    /// Counts what is there already against the limit on disk space.
+    pub fn count_existing(&self, bytes: u64) -> Result<(), CompileError> {
+        self.quota.take(bytes).map_err(|error| CompileError::Write { path: self.path.clone(), error })
+    }
+
+    /// Takes the name away; the file goes when it is closed. Where the system refuses, it stays.
+    pub fn remove(&self) {
+        let _ = fs::remove_file(&self.path);
+    }
+
+    /// From now on counts what is written as the part of another's.
+    pub fn set_quota(&mut self, quota: DiskQuota) {
+        self.quota = quota;
+    }
+
+    pub fn quota(&self) -> &DiskQuota {
+        &self.quota
+    }
+
+    /// The error of bytes that are not what was written.
+    pub fn damaged(&self, offset: u64, reason: impl Into<String>) -> CompileError {
+        CompileError::WorkingFile { path: self.path.clone(), offset, reason: reason.into() }
+    }
+}
