@@ -28,6 +28,7 @@
 //! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
+//! 1. [`transport`]: frames between nodes
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
@@ -49,12 +50,14 @@ pub mod simd;
 pub mod source;
 pub mod stats;
 pub mod trace;
+pub mod transport;
 pub mod units;
 
 pub use budget::MemoryBudget;
 pub use cache::GeometryCache;
 pub use octree::LazyOctree;
 pub use source::BlockSource;
+pub use transport::Transport;
 
 /// The README's code compiles.
 #[cfg(doctest)]
