@@ -29,6 +29,7 @@
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
 //! 1. [`transport`]: frames between nodes
+//! 1. [`cluster`]: coordinator, workers, readers
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
@@ -36,6 +37,7 @@ pub mod access;
 pub mod block;
 pub mod budget;
 pub mod cache;
+pub mod cluster;
 pub mod compile;
 pub mod error;
 pub mod free_memory;
