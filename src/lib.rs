@@ -28,6 +28,7 @@
 //! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
+//! 1. [`schedule`]: which worker renders which tile; no threads, no clock, no sockets
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
@@ -45,6 +46,7 @@ pub mod octree;
 pub mod procedural;
 pub mod render;
 pub mod scene;
+pub mod schedule;
 pub mod simd;
 pub mod source;
 pub mod stats;
@@ -54,6 +56,7 @@ pub mod units;
 pub use budget::MemoryBudget;
 pub use cache::GeometryCache;
 pub use octree::LazyOctree;
+pub use schedule::TileScheduler;
 pub use source::BlockSource;
 
 /// The README's code compiles.

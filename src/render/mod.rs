@@ -19,7 +19,7 @@ mod sampling;
 mod settings;
 mod shadows;
 mod stage;
-mod tiles;
+pub(crate) mod tiles;
 mod workers;
 
 pub use crate::compile::{Control, Threads};
