@@ -413,6 +413,43 @@ pub enum TransportError {
     Closed,
 }
 
+/// A scheduler could not be made, or was told something that cannot be.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ScheduleError {
+    /// An option that makes no sense.
+    #[error("{what}: {reason}")]
+    Option {
+        /// Which option.
+        what: &'static str,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// Cells that the image does not have. Whoever sent them renders another image.
+    #[error("tile {tile} has no cells {cells:#018x}: the image has {tile_count} tiles")]
+    NoSuchCells {
+        /// The tile that was named.
+        tile: u32,
+        /// The set of cells that was named.
+        cells: u64,
+        /// How many tiles there are.
+        tile_count: u32,
+    },
+    /// A worker that did not join, or left.
+    #[error("worker {worker} is not part of this render; it has to join first")]
+    UnknownWorker {
+        /// The worker's number.
+        worker: u64,
+    },
+    /// A checkpoint that cannot be read, or that belongs to another image.
+    #[error("the scheduler's checkpoint is not usable at byte {offset}: {reason}")]
+    Checkpoint {
+        /// Where.
+        offset: u64,
+        /// What is wrong there.
+        reason: &'static str,
+    },
+}
+
 /// Any failure of the library.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -435,6 +472,9 @@ pub enum Error {
     /// See [`RenderError`].
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// See [`ScheduleError`].
+    #[error(transparent)]
+    Schedule(#[from] ScheduleError),
     /// See [`AccessTraceError`].
     #[error(transparent)]
     AccessTrace(#[from] AccessTraceError),

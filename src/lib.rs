@@ -28,6 +28,7 @@
 //! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
+//! 1. [`schedule`]: which worker renders which tile; no threads, no clock, no sockets
 //! 1. [`transport`]: frames between nodes
 //! 1. [`cluster`]: coordinator, workers, readers
 #![deny(missing_docs)]
@@ -48,6 +49,7 @@ pub mod octree;
 pub mod procedural;
 pub mod render;
 pub mod scene;
+pub mod schedule;
 pub mod simd;
 pub mod source;
 pub mod stats;
@@ -58,6 +60,7 @@ pub mod units;
 pub use budget::MemoryBudget;
 pub use cache::GeometryCache;
 pub use octree::LazyOctree;
+pub use schedule::TileScheduler;
 pub use source::BlockSource;
 pub use transport::Transport;
 

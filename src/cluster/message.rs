@@ -39,6 +39,16 @@ pub struct Job {
     pub model: u64,
 }
 
+impl Job {
+    /// A job in tiles of 64 and cells of 8 pixels a side.
+    pub fn new(scene: Scene, settings: RenderSettings, model: u64) -> Job {
+        const TILE_SIDE: u32 = 64;
+        // What a worker's lane renders at once; it does not show.
+        let settings = RenderSettings { tile_size: TILE_SIDE, ..settings };
+        Job { scene, settings, tile_side: TILE_SIDE, cell_side: 8, model }
+    }
+}
+
 /// Some cells of a tile under a lease: what [`schedule`](crate::schedule) hands out and takes back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeasedCells {

@@ -8,19 +8,30 @@
 //! Pictures are those of one machine, bit for bit (I2), whoever renders what and whoever dies. `docs/cluster.md` says how to run it,
 //! what survives what, and what goes over the wire.
 
+mod checkpoint;
+mod coordinator;
+mod drive;
 mod message;
 mod model_file;
+mod picture;
 mod reader;
 mod remote_source;
+mod worker;
 
 use std::time::Duration;
 
 use crate::transport::PeerId;
 
+pub use checkpoint::{Checkpoint, Record};
+pub use coordinator::{
+    Coordinator, CoordinatorCounters, CoordinatorError, CoordinatorOptions, LaneInfo, Span,
+};
+pub use drive::{NodeError, WorkerOptions, WorkerReport, run_coordinator, run_reader, run_worker};
 pub use message::{BLOCKS_MAX, Job, LeasedCells, MESSAGE_VERSION, Message, MessageError, RANGE_BYTES_MAX, Role};
 pub use model_file::{ModelFile, model_key, readers_of};
 pub use reader::{Reader, ReaderCounters};
 pub use remote_source::{RemoteCounters, RemoteOptions, RemoteSource};
+pub use worker::{Worker, WorkerAction, WorkerCounters, WorkerEvent};
 
 /// What a role wants done.
 #[derive(Clone, Debug, PartialEq)]

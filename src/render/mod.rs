@@ -20,7 +20,7 @@ mod sampling;
 mod settings;
 mod shadows;
 mod stage;
-mod tiles;
+pub(crate) mod tiles;
 mod workers;
 
 pub use crate::compile::{Control, Threads};
@@ -28,6 +28,7 @@ pub use counters::EffectCounters;
 pub use film::Film;
 pub use image::ImageFormat;
 pub use progress::Progress;
+pub(crate) use region::Canvas;
 pub use region::{Region, RegionRenderer};
 pub use renderer::{RenderedImage, Renderer};
 pub use report::{Outcome, RenderReport, WorkerSeconds};

@@ -1,0 +1,126 @@
+//! What is expected: how long cells take, how many a worker should get, where a lease is best cut.
+
+use std::time::Duration;
+
+use super::cost::CostMap;
+use super::crew::Crew;
+use super::grid::TileCells;
+use super::ledger::{Lease, Ledger, Nanos};
+use super::options::SchedulerOptions;
+use super::policy::first_cells;
+use crate::units::TileId;
+
+/// Estimates from what was done so far. Before the first result every cell counts one unit of work.
+pub(super) struct Estimates<'a> {
+    pub options: &'a SchedulerOptions,
+    pub ledger: &'a Ledger,
+    pub costs: &'a CostMap,
+    pub crew: &'a Crew,
+}
+
+impl Estimates<'_> {
+    fn mean_speed(&self) -> f64 {
+        self.crew.mean_speed().unwrap_or(1.0)
+    }
+
+    /// Work per second of a worker: its own, or as the others.
+    pub fn speed(&self, slot: u32) -> f64 {
+        let own = self.crew.speed(slot).filter(|_| self.options.learn_speeds);
+        own.unwrap_or_else(|| self.mean_speed())
+    }
+
+    /// Work per second of all together.
+    fn total_speed(&self) -> f64 {
+        self.mean_speed() * self.crew.len().max(1) as f64
+    }
+
+    fn cell_work(&self, tile: TileId) -> f64 {
+        self.costs.estimate(self.ledger.grid(), tile).unwrap_or(1.0)
+    }
+
+    /// Work that is not done yet, by the mean of what is.
+    fn work_left(&self) -> f64 {
+        (self.ledger.cells() - self.ledger.cells_done()) as f64 * self.costs.mean().unwrap_or(1.0)
+    }
+
+    /// Most cells of `tile` that a worker may get now.
+    pub fn cells_max(&self, slot: u32, tile: TileId) -> u32 {
+        let options = self.options;
+        let per_tile = self.ledger.grid().cells_per_tile();
+        let mut most = f64::from(per_tile);
+        if options.tiles_per_worker > 0 {
+            let workers = self.crew.len().max(options.expected_workers as usize) as f64;
+            most = most.min(self.ledger.cells() as f64 / workers / f64::from(options.tiles_per_worker));
+        }
+        if options.share_of_rest > 0.0 {
+            let share = self.work_left() * self.speed(slot) / self.total_speed() * options.share_of_rest;
+            let cell = self.cell_work(tile);
+            // Cells that cost nothing are handed out by the tile.
+            if cell > 0.0 {
+                most = most.min(share / cell);
+            }
+        }
+        (most as u32).clamp(1, per_tile)
+    }
+
+    /// Expected time of cells for a worker; none if nothing is known.
+    pub fn lasts(&self, slot: u32, cells: TileCells) -> Option<Nanos> {
+        let cell = self.costs.estimate(self.ledger.grid(), cells.tile)?;
+        Some(nanos_of_seconds(f64::from(cells.count()) * cell / self.speed(slot)))
+    }
+
+    /// When a lease runs out that starts at `start`, if leases of its tile ran out so many times before: each time lasts twice as long.
+    pub fn deadline(&self, start: Nanos, lasts: Option<Nanos>, losses: u32) -> Nanos {
+        let expected = lasts.unwrap_or(0) as f64 * self.options.lease_factor;
+        let lasts = nanos(self.options.lease_min).max(expected as Nanos);
+        start.saturating_add(lasts.saturating_mul(1 << losses.min(20)))
+    }
+
+    /// When, by the estimates, the others have nothing left to do; at least the time of one cell.
+    pub fn critical_time(&self, slot: u32, tile: TileId) -> Duration {
+        if !self.options.critical_time || self.costs.mean().is_none() {
+            return Duration::MAX;
+        }
+        let cell = self.cell_work(tile) / self.speed(slot);
+        Duration::from_nanos(nanos_of_seconds((self.work_left() / self.total_speed()).max(cell)))
+    }
+
+    /// The back of a lease, such that its holder and the worker `slot` end at the same time; empty if that is not worth while.
+    pub fn cut(&self, slot: u32, lease: &Lease, now: Nanos) -> TileCells {
+        let none = TileCells { tile: lease.cells.tile, cells: 0 };
+        let count = lease.cells.count();
+        if lease.is_raced {
+            return none;
+        }
+        let keep = match lease.lasts {
+            Some(lasts) => {
+                let cell = (lasts as f64 / f64::from(count)).max(1.0);
+                let own_cell = cell * self.speed(lease.slot) / self.speed(slot);
+                let wait = lease.start.saturating_sub(now) as f64;
+                let spent = now.saturating_sub(lease.start) as f64;
+                // wait + keep * cell - spent = (count - keep) * own_cell
+                let equal = ((f64::from(count) * own_cell + spent - wait) / (cell + own_cell)).ceil();
+                // The cell that the holder is at stays with it.
+                let at = if wait > 0.0 { 0.0 } else { (spent / cell).floor() + 1.0 };
+                let keep = equal.max(at).clamp(0.0, f64::from(count)) as u32;
+                if f64::from(count - keep) * own_cell < nanos(self.options.take_over_min) as f64 {
+                    return none;
+                }
+                keep
+            }
+            // Nothing is known but that it has begun.
+            None => count.div_ceil(2),
+        };
+        let kept = first_cells(lease.cells.cells, keep, true);
+        TileCells { cells: lease.cells.cells & !kept, ..none }
+    }
+}
+
+pub(super) fn nanos(time: Duration) -> Nanos {
+    Nanos::try_from(time.as_nanos()).unwrap_or(Nanos::MAX)
+}
+
+fn nanos_of_seconds(seconds: f64) -> Nanos {
+    // Saturates.
+    (seconds * 1e9) as Nanos
+}
