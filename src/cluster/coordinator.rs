@@ -435,8 +435,9 @@ impl Coordinator {
         if self.finished {
             actions.push(Action::Send { to: peer, frame: Message::Finished.frame() });
         } else if is_worker {
-            actions.push(Action::Send { to: peer, frame: Message::Job(Box::new(self.job.clone())).frame() });
+            // The readers first: with the job the worker decides where its blocks come from.
             actions.push(Action::Send { to: peer, frame: self.readers().frame() });
+            actions.push(Action::Send { to: peer, frame: Message::Job(Box::new(self.job.clone())).frame() });
         } else {
             self.tell_readers(actions);
         }

@@ -398,15 +398,16 @@ impl Engine<'_> {
                 }
                 Err(error) => return self.fail(&error.to_string()),
             };
-            match self.job(options, &job, &source, events_in, &mut report) {
+            let end = self.job(options, &job, &source, events_in, &mut report);
+            if let Source::Remote(remote) = &source {
+                report.remote = Some(remote.counters());
+            }
+            match end {
                 Ok(End::Over) => break,
                 Ok(End::Next(job)) => next = Some(job),
                 Err(error) => return self.fail(&error.to_string()),
             }
             waits_since = Instant::now();
-            if let Source::Remote(remote) = &source {
-                report.remote = Some(remote.counters());
-            }
         }
         report.worker = self.worker.counters();
         match self.worker.failure() {

@@ -75,7 +75,7 @@ fn damaged_frames_are_errors_or_other_messages_and_never_panics() {
             assert!(Message::parse(&longer).is_err(), "{message:?}");
         }
     }
-    assert!(refused > 1000, "{refused}");
+    assert!(refused > 500, "{refused}");
     let mut random = Random(1);
     for _ in 0..20_000 {
         let bytes: Vec<u8> = (0..random.below(60)).map(|_| random.next() as u8).collect();

@@ -23,7 +23,7 @@ pub fn model_bytes() -> &'static Arc<[u8]> {
         let options = CompileOptions { block_bytes: 8192, ..CompileOptions::default() };
         let mut go_on = |_| Control::Continue;
         let mut compiler = Compiler::new(&path, options, &MemoryBudget::new(Bytes::mib(64)), &mut go_on).unwrap();
-        let gears = Gears::with_tessellation(1, Tessellation::new(20).unwrap()).unwrap();
+        let gears = Gears::with_tessellation(1, Tessellation::new(16).unwrap()).unwrap();
         gears.emit(&mut compiler).unwrap();
         compiler.finish().unwrap();
         std::fs::read(path).unwrap().into()
