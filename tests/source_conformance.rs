@@ -220,7 +220,8 @@ fn a_remote_source_falls_back() {
     let file = file();
     let network = LocalNetwork::new();
     let local = |name: &str| Arc::new(network.open(name)) as Arc<dyn Transport>;
-    let options = RemoteOptions { retry_after: Duration::from_secs(3600), ..RemoteOptions::default() };
+    let (retry_after, patience) = (Duration::from_secs(3600), Duration::ZERO);
+    let options = RemoteOptions { retry_after, patience, ..RemoteOptions::default() };
     let own = || Arc::new(MemorySource::new(file.clone()).unwrap());
     // Nobody there at all.
     let source = RemoteSource::beside(own(), local("a"), vec!["nobody".to_owned(), String::new()], options);

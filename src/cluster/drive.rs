@@ -540,6 +540,9 @@ impl Engine<'_> {
             self.handle(WorkerEvent::Opened);
             let end = self.render(source, &to_lanes);
             abort.store(true, Ordering::Relaxed);
+            if let Source::Remote(remote) = source {
+                remote.abandon();
+            }
             drop(to_lanes);
             // Lanes that wait for room are let go; what they have is of no use any more, what the network brings is.
             let mut kept = Vec::new();

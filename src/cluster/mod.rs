@@ -11,6 +11,7 @@
 mod checkpoint;
 mod coordinator;
 mod drive;
+mod hosts;
 mod message;
 mod model_file;
 mod picture;
@@ -24,9 +25,10 @@ use crate::transport::PeerId;
 
 pub use checkpoint::{Checkpoint, Record};
 pub use coordinator::{
-    Coordinator, CoordinatorCounters, CoordinatorError, CoordinatorOptions, LaneInfo, Span,
+    Coordinator, CoordinatorCounters, CoordinatorError, CoordinatorOptions, LaneInfo, Span, map_colour,
 };
 pub use drive::{NodeError, WorkerOptions, WorkerReport, run_coordinator, run_reader, run_worker};
+pub use hosts::{HostRole, Hosts, HostsError};
 pub use message::{BLOCKS_MAX, Job, LeasedCells, MESSAGE_VERSION, Message, MessageError, RANGE_BYTES_MAX, Role};
 pub use model_file::{ModelFile, model_key, readers_of};
 pub use reader::{Reader, ReaderCounters};

@@ -4,6 +4,7 @@ use crate::budget::MemoryBudget;
 use crate::error::BudgetError;
 use crate::render::{Canvas, Film};
 use crate::schedule::{ImageGrid, TileCells};
+use crate::units::TileId;
 
 const PIXEL_BYTES: usize = 12;
 
@@ -67,6 +68,30 @@ impl Picture {
 
     pub fn into_film(self) -> Film {
         self.canvas.into_film()
+    }
+
+    /// The picture in the colours of those who rendered it.
+    pub fn map(&self, colour: impl Fn(u32) -> [f32; 3], budget: &MemoryBudget) -> Result<Film, BudgetError> {
+        let mut map = Canvas::new(self.grid.width(), self.grid.height(), budget)?;
+        for tile in (0..self.grid.tile_count()).map(TileId) {
+            for (cell, region) in self.grid.squares(TileCells { tile, cells: u64::MAX }, 1) {
+                let index = tile.0 as usize * self.grid.cells_per_tile() as usize;
+                let owner = self.owners[index + cell.cells.trailing_zeros() as usize];
+                let colour = owner.map_or([0.0; 3], &colour);
+                let rows = region.y..region.y + region.height;
+                let pixels: Vec<[f32; 3]> = rows
+                    .flat_map(|y| (region.x..region.x + region.width).map(move |x| (x, y)))
+                    .map(|(x, y)| {
+                        let [r, g, b] = self.film().pixel(x, y);
+                        // Bright enough to show the colour, contrast enough to show the picture.
+                        let brightness = 0.35 + 0.65 * (0.2126 * r + 0.7152 * g + 0.0722 * b).clamp(0.0, 1.0);
+                        colour.map(|channel| channel * brightness)
+                    })
+                    .collect();
+                map.set(region, &pixels);
+            }
+        }
+        Ok(map.into_film())
     }
 
     pub fn owners(&self) -> &[Option<u32>] {

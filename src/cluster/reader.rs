@@ -1,6 +1,6 @@
 //! A reader: holds blocks in memory and serves them, and any other bytes of the compiled file.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -49,8 +49,15 @@ pub struct Reader {
     memory: Reservation,
     counters: ReaderCounters,
     buffer: Vec<u8>,
-    finished: bool,
+    /// Nodes that are connected and may still want blocks.
+    peers: HashSet<PeerId>,
+    /// Since when the picture is done.
+    finished: Option<Duration>,
+    is_over: bool,
 }
+
+/// When the picture is done, workers may be in the middle of a tile that they will throw away; so long a reader serves on.
+const LINGER: Duration = Duration::from_secs(2);
 
 impl Reader {
     /// A reader of `file` that others reach at `address`, and that keeps at most `memory` of blocks, which it takes from `budget`.
@@ -81,7 +88,9 @@ impl Reader {
             counters: ReaderCounters::default(),
             buffer: Vec::new(),
             file,
-            finished: false,
+            peers: HashSet::new(),
+            finished: None,
+            is_over: false,
         })
     }
 
@@ -104,9 +113,9 @@ impl Reader {
         self.coordinator.is_some()
     }
 
-    /// Whether the picture is done and the reader may end.
+    /// Whether the picture is done, nobody wants blocks any more, and the reader may end.
     pub fn is_finished(&self) -> bool {
-        self.finished
+        self.is_over
     }
 
     /// What it did so far.
@@ -118,7 +127,7 @@ impl Reader {
     pub fn handle(&mut self, now: Duration, event: TransportEvent, actions: &mut Vec<Action>) {
         match event {
             TransportEvent::Frame { peer, bytes } => match Message::parse(&bytes) {
-                Ok((Message::Finished, _)) if Some(peer) == self.coordinator => self.finished = true,
+                Ok((Message::Finished, _)) if Some(peer) == self.coordinator => self.finished = Some(now),
                 Ok((Message::Read { blocks }, _)) => {
                     for block in blocks {
                         let frame = self.block_frame(block);
@@ -141,13 +150,20 @@ impl Reader {
             TransportEvent::Refused { from, reason } => {
                 actions.push(Action::Log(format!("refused {from}: {reason}")));
             }
-            TransportEvent::Connected { .. } | TransportEvent::Disconnected { .. } => {}
+            TransportEvent::Connected { peer, .. } => {
+                self.peers.insert(peer);
+            }
+            TransportEvent::Disconnected { peer, .. } => {
+                self.peers.remove(&peer);
+            }
         }
         self.tick(now, actions);
     }
 
     /// To be called at least every [`RoleOptions::heartbeat`].
     pub fn tick(&mut self, now: Duration, actions: &mut Vec<Action>) {
+        let is_done_for = |since| self.peers.is_empty() || now.saturating_sub(since) >= LINGER;
+        self.is_over |= self.finished.is_some_and(is_done_for);
         if let Some(coordinator) = self.coordinator
             && now.saturating_sub(self.last_alive) >= self.options.heartbeat
         {
@@ -158,6 +174,7 @@ impl Reader {
 
     fn refuse(&mut self, peer: PeerId, reason: String, actions: &mut Vec<Action>) {
         self.counters.bad_frames += 1;
+        self.peers.remove(&peer);
         if Some(peer) == self.coordinator {
             self.coordinator = None;
         }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex, MutexGuard};
@@ -19,6 +19,9 @@ use crate::units::BlockId;
 
 const NAME: &str = "the cluster's readers";
 
+/// How often readers that are gone are looked for.
+const AGAIN: Duration = Duration::from_millis(50);
+
 /// What can be chosen about a [`RemoteSource`].
 #[derive(Clone, Copy, Debug)]
 pub struct RemoteOptions {
@@ -28,6 +31,8 @@ pub struct RemoteOptions {
     pub retry_after: Duration,
     /// How often a block that arrives damaged is asked of the same reader before another is asked.
     pub tries: u32,
+    /// If no reader gives a block and the node does not have the file: how long it waits for a reader to come back.
+    pub patience: Duration,
     /// Bytes of blocks that were asked for in advance ([`RemoteSource::will_need`]) and may wait for their use.
     pub ahead_bytes_max: u64,
 }
@@ -38,6 +43,7 @@ impl Default for RemoteOptions {
             answer_time_max: Duration::from_secs(10),
             retry_after: Duration::from_secs(5),
             tries: 2,
+            patience: Duration::from_secs(60),
             ahead_bytes_max: 4 << 20,
         }
     }
@@ -136,6 +142,7 @@ pub struct RemoteSource {
     state: Mutex<State>,
     changed: Condvar,
     counters: Counters,
+    is_abandoned: AtomicBool,
 }
 
 impl RemoteSource {
@@ -189,7 +196,13 @@ impl RemoteSource {
             state: Mutex::new(State { links, ..State::default() }),
             changed: Condvar::new(),
             counters: Counters::default(),
+            is_abandoned: AtomicBool::new(false),
         }
+    }
+
+    /// Nobody needs blocks any more: who waits for a reader to come back gets an error soon.
+    pub fn abandon(&self) {
+        self.is_abandoned.store(true, Ordering::Relaxed);
     }
 
     /// Where the readers are from now on. Their number and order decide who holds which block (see
@@ -251,6 +264,19 @@ impl RemoteSource {
             readers_lost: get(&self.counters.readers_lost),
             requests: get(&self.counters.requests),
         }
+    }
+
+    /// Asks the readers for a block, one after the other; whether one gave it.
+    fn from_readers(&self, block: BlockId, into: &mut Vec<u8>) -> bool {
+        let reader_count = self.state.lock().links.len();
+        for (nth, place) in readers_of(block.0, reader_count).enumerate() {
+            if let Some(bytes) = self.ask(place, block.0) {
+                count(if nth == 0 { &self.counters.from_owner } else { &self.counters.from_other }, 1);
+                into.extend_from_slice(&bytes);
+                return true;
+            }
+        }
+        false
     }
 
     /// Asks reader number `place` for a block until it has given it, or is given up.
@@ -465,23 +491,20 @@ impl BlockSource for RemoteSource {
                 count: self.model.blocks.len() as u32,
             });
         }
-        let reader_count = self.state.lock().links.len();
-        for (nth, place) in readers_of(block.0, reader_count).enumerate() {
-            if let Some(bytes) = self.ask(place, block.0) {
-                count(if nth == 0 { &self.counters.from_owner } else { &self.counters.from_other }, 1);
-                into.extend_from_slice(&bytes);
+        let start = Instant::now();
+        loop {
+            if self.from_readers(block, into) {
                 return Ok(());
             }
-        }
-        match &self.fallback {
-            Some(fallback) => {
+            if let Some(fallback) = &self.fallback {
                 count(&self.counters.from_fallback, 1);
-                fallback.read_block(block, into)
+                return fallback.read_block(block, into);
             }
-            None => {
-                let reason = format!("none of {reader_count} readers gives it, and this node does not have the file");
-                Err(failed(&format!("block {}", block.0), io::ErrorKind::NotConnected, reason))
+            if start.elapsed() >= self.options.patience || self.is_abandoned.load(Ordering::Relaxed) {
+                let reason = "no reader gives it, and this node does not have the file".to_owned();
+                return Err(failed(&format!("block {}", block.0), io::ErrorKind::NotConnected, reason));
             }
+            std::thread::sleep(AGAIN);
         }
     }
 }
