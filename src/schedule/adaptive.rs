@@ -10,7 +10,7 @@ use super::estimates::{Estimates, nanos};
 use super::grid::{ImageGrid, TileCells};
 use super::ledger::{Lease, Ledger, Nanos};
 use super::options::{SchedulerOptions, TilePolicy};
-use super::policy::{CurvePolicy, Policy, RowsPolicy, View};
+use super::policy::{CentralPolicy, CurvePolicy, Policy, RowsPolicy, View};
 use super::scheduler::{
     Answer, Assignment, Notice, Receipt, ScheduleProgress, Spent, TileResult, TileScheduler,
 };
@@ -78,8 +78,11 @@ impl AdaptiveScheduler {
     }
 
     fn start(ledger: Ledger, options: SchedulerOptions, epoch: u32) -> AdaptiveScheduler {
+        let central = |points, weight| CentralPolicy::new(&ledger, points, weight, options.expected_workers);
         let policy: Box<dyn Policy> = match options.policy {
             TilePolicy::Rows => Box::new(RowsPolicy::new(&ledger)),
+            TilePolicy::Nearest(points) => Box::new(central(points, 0.0)),
+            TilePolicy::TradeOff { points, weight } => Box::new(central(points, weight)),
             TilePolicy::Curve => Box::new(CurvePolicy::new(&ledger, options.expected_workers)),
         };
         AdaptiveScheduler {

@@ -4,11 +4,31 @@ use std::time::Duration;
 
 use crate::error::ScheduleError;
 
+/// Where the workers' central points lie (the paper).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CentralPoints {
+    /// In the middles of rectangles of equal area.
+    #[default]
+    Even,
+    /// On the image's diagonals, which form an X.
+    Diagonals,
+}
+
 /// How the next tile of a worker is chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TilePolicy {
     /// Row by row, from the upper left: what a queue of tiles does. For comparison.
     Rows,
+    /// The free tile nearest to the worker's central point (the paper).
+    Nearest(CentralPoints),
+    /// The free tile for which `distance to the worker's point - weight * distance to the nearest other point` is
+    /// least (the paper's trade-off: near one's own point, far from the others').
+    TradeOff {
+        /// Where the points lie.
+        points: CentralPoints,
+        /// What the distance to the others counts, 0 to 1.
+        weight: f64,
+    },
     /// Every worker has a piece of the curve through all cells and works along it. One whose piece is at an end takes over
     /// half of the piece that would take longest. The default.
     Curve,
@@ -89,7 +109,9 @@ impl SchedulerOptions {
             "lease factor",
             "a lease must last at least its expected time",
         )?;
-        check(self.lease_min > Duration::ZERO, "shortest lease", "it must be longer than nothing")
+        check(self.lease_min > Duration::ZERO, "shortest lease", "it must be longer than nothing")?;
+        let weight = if let TilePolicy::TradeOff { weight, .. } = self.policy { weight } else { 0.0 };
+        check((0.0..=1.0).contains(&weight), "trade-off", "its weight must be 0 to 1")
     }
 }
 
