@@ -20,6 +20,7 @@ mod ledger;
 mod options;
 mod policy;
 mod scheduler;
+pub mod simulation;
 mod speed;
 
 pub use adaptive::AdaptiveScheduler;
