@@ -52,12 +52,14 @@ impl Estimates<'_> {
             let workers = self.crew.len().max(options.expected_workers as usize) as f64;
             most = most.min(self.ledger.cells() as f64 / workers / f64::from(options.tiles_per_worker));
         }
-        if options.share_of_rest > 0.0 {
-            let share = self.work_left() * self.speed(slot) / self.total_speed() * options.share_of_rest;
-            let cell = self.cell_work(tile);
-            // Cells that cost nothing are handed out by the tile.
-            if cell > 0.0 {
+        // Cells that cost nothing are handed out by the tile.
+        if let Some(cell) = Some(self.cell_work(tile)).filter(|cell| *cell > 0.0) {
+            if options.share_of_rest > 0.0 {
+                let share = self.work_left() * self.speed(slot) / self.total_speed() * options.share_of_rest;
                 most = most.min(share / cell);
+            }
+            if self.costs.mean().is_some() {
+                most = most.max(options.hand_out_min.as_secs_f64() * self.speed(slot) / cell);
             }
         }
         (most as u32).clamp(1, per_tile)

@@ -52,6 +52,9 @@ pub struct SchedulerOptions {
     /// Late subdivision: a hand-out is at most this part of what is left per worker, but at least one cell. 0 hands out
     /// whole tiles to the end.
     pub share_of_rest: f64,
+    /// No hand-out is expected to last less than this: each costs the coordinator some messages, and it has many workers to
+    /// serve.
+    pub hand_out_min: Duration,
     /// Whether a worker stops at a critical time: when, by the estimates, nothing would be left to do for the others.
     pub critical_time: bool,
     /// Whether an idle worker gets cells that another still has to do, when nothing is free: the back half of what is left of the
@@ -79,6 +82,7 @@ impl SchedulerOptions {
             policy: TilePolicy::Curve,
             tiles_per_worker: 5,
             share_of_rest: 0.25,
+            hand_out_min: Duration::from_micros(50 * u64::from(expected_workers)),
             critical_time: false,
             take_over: true,
             learn_speeds: true,

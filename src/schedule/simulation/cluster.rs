@@ -34,6 +34,10 @@ pub struct SimulationReport {
     pub load_seconds: f64,
     /// Time of all workers on cells that others had done, or that were not returned before the end.
     pub wasted_seconds: f64,
+    /// Time of all workers until their first cell.
+    pub idle_at_start_seconds: f64,
+    /// Time of all workers from their last cell to the end.
+    pub idle_at_end_seconds: f64,
     /// Blocks loaded by all workers.
     pub loads: u64,
     /// Blocks loaded by one machine alone.
@@ -87,6 +91,8 @@ pub fn simulate(
         events: BinaryHeap::new(),
         sequence: 0,
         now: 0,
+        relays: (0..model.relays.map_or(0, |relays| relays.count)).map(|_| Relay::default()).collect(),
+        outbox: Vec::new(),
         connection_free: [0; 2],
         coordinator_free: 0,
         coordinator_busy: 0,
@@ -111,6 +117,8 @@ pub fn simulate(
         bound_seconds: (alone.seconds / speed).max(costs.longest_seconds().0 / fastest),
         render_seconds: cluster.counted_seconds,
         load_seconds: cluster.load_seconds,
+        idle_at_start_seconds: cluster.idle(|worker| worker.first.unwrap_or(cluster.now)),
+        idle_at_end_seconds: cluster.idle(|worker| cluster.now.saturating_sub(worker.last.min(cluster.now))),
         wasted_seconds: (cluster.rendered_seconds - cluster.counted_seconds).max(0.0),
         loads: cluster.loads,
         sequential_loads: alone.loads,
@@ -139,20 +147,45 @@ struct Worker {
     cell: Option<u32>,
     has_asked: bool,
     is_lost: bool,
+    /// When its first cell began and its last one ended.
+    first: Option<u64>,
+    last: u64,
 }
 
 impl Worker {
     fn new(machine: Machine) -> Worker {
-        Worker { machine, jobs: VecDeque::new(), cell: None, has_asked: false, is_lost: false }
+        Worker {
+            machine,
+            jobs: VecDeque::new(),
+            cell: None,
+            has_asked: false,
+            is_lost: false,
+            first: None,
+            last: 0,
+        }
+    }
+
+    /// Whether it wants more now; then it has asked.
+    fn asks(&mut self, model: &ClusterModel) -> bool {
+        let wanted = if model.ask_ahead { 2 } else { 1 };
+        let asks = !self.is_lost && !self.has_asked && self.jobs.len() < wanted;
+        self.has_asked |= asks;
+        asks
     }
 }
 
 #[derive(Debug)]
 enum Event {
-    /// A message has arrived at the coordinator's connection, and is read.
-    Arrived(u32, Bound),
+    /// Something has arrived at a relay.
+    Gathered(u32, Bound),
+    /// A relay sends on what it has gathered.
+    Forward(usize),
+    /// A message has arrived at the coordinator.
+    Arrived(Vec<(u32, Bound)>),
     /// The coordinator has worked through a message.
-    Handled(u32, Bound),
+    Handled(Vec<(u32, Bound)>),
+    /// A message for some workers has arrived at their relay.
+    Spread(Vec<(u32, Told)>),
     /// A message has arrived at a worker.
     Told(u32, Told),
     /// A worker is through with a cell.
@@ -162,11 +195,23 @@ enum Event {
     GivenUp(u32),
 }
 
+/// A machine of the second level.
+#[derive(Default)]
+struct Relay {
+    gathered: Vec<(u32, Bound)>,
+    /// When it is through with its messages.
+    free: u64,
+}
+
 /// Bound for the coordinator.
 #[derive(Clone, Copy, Debug)]
 enum Bound {
     Request,
-    Result(TileResult),
+    /// A result, and whether the worker asks for more with it.
+    Result {
+        result: TileResult,
+        asks: bool,
+    },
 }
 
 /// Bound for a worker.
@@ -185,6 +230,9 @@ struct Cluster<'a> {
     events: BinaryHeap<Reverse<(u64, u64, Box<Ordered>)>>,
     sequence: u64,
     now: u64,
+    relays: Vec<Relay>,
+    /// What the coordinator has to say and has not sent.
+    outbox: Vec<(u32, Told)>,
     /// When the coordinator's connection is free, in and out.
     connection_free: [u64; 2],
     coordinator_free: u64,
@@ -254,6 +302,11 @@ impl Cluster<'_> {
         Err(ScheduleError::Option { what: "losses", reason: "no worker is left to end the render" })
     }
 
+    /// Sum over the workers, in seconds.
+    fn idle(&self, nanos: impl Fn(&Worker) -> u64) -> f64 {
+        self.workers.iter().map(|worker| nanos(worker) as f64 * 1e-9).sum()
+    }
+
     fn at(&mut self, time: u64, event: Event) {
         self.events.push(Reverse((time, self.sequence, Box::new(Ordered(event)))));
         self.sequence += 1;
@@ -261,19 +314,31 @@ impl Cluster<'_> {
 
     fn happen(&mut self, event: Event) -> Result<(), ScheduleError> {
         match event {
-            Event::Arrived(worker, message) => {
-                let start = self.coordinator_free.max(self.now);
-                self.coordinator_free = start + self.work_on_message();
-                self.at(self.coordinator_free, Event::Handled(worker, message));
+            Event::Gathered(worker, message) => self.gather(worker, message),
+            Event::Forward(relay) => {
+                let gathered = std::mem::take(&mut self.relays[relay].gathered);
+                let time = nanos(self.model.message_seconds) * (gathered.len() as u64 + 1);
+                self.relays[relay].free = self.relays[relay].free.max(self.now) + time;
+                let bytes = gathered.iter().map(|(_, message)| self.bytes_of(message)).sum();
+                self.to_coordinator(self.relays[relay].free, bytes, gathered);
             }
-            Event::Handled(worker, Bound::Request) => self.answer(worker)?,
-            Event::Handled(worker, Bound::Result(result)) => {
-                let now = Duration::from_nanos(self.now);
-                let fresh = self.scheduler.complete(WorkerId(worker.into()), &result, now)?.fresh;
-                let cells = (0..64).filter(|cell| fresh.cells & 1 << cell != 0);
-                let work: f64 = cells.map(|cell| self.costs.seconds(fresh.tile, cell)).sum();
-                self.counted_seconds += work / self.model.speed(worker);
-                self.deliver_notices()?;
+            Event::Arrived(messages) => {
+                let done = self.work(1, messages.len());
+                self.at(done, Event::Handled(messages));
+            }
+            Event::Handled(messages) => {
+                for (worker, message) in messages {
+                    self.handle(worker, message)?;
+                }
+            }
+            Event::Spread(messages) => {
+                let latency = nanos(self.model.latency_seconds);
+                for (worker, told) in messages {
+                    let relay = self.relay_of(worker);
+                    let free = self.relays[relay].free.max(self.now) + nanos(self.model.message_seconds);
+                    self.relays[relay].free = free;
+                    self.at(free + latency, Event::Told(worker, told));
+                }
             }
             Event::Told(worker, told) => self.tell(worker, told),
             Event::CellDone(worker) => self.end_cell(worker),
@@ -288,14 +353,34 @@ impl Cluster<'_> {
                 self.deliver_notices()?;
             }
         }
+        self.send_all();
         self.plan_tick();
         Ok(())
     }
 
-    fn work_on_message(&mut self) -> u64 {
-        let time = nanos(self.model.message_seconds);
+    /// When the coordinator is through with so many messages that say so many things.
+    fn work(&mut self, messages: usize, things: usize) -> u64 {
+        let time = nanos(self.model.message_seconds) * messages as u64
+            + nanos(self.model.decision_seconds) * things as u64;
         self.coordinator_busy += time;
-        time
+        self.coordinator_free = self.coordinator_free.max(self.now) + time;
+        self.coordinator_free
+    }
+
+    fn handle(&mut self, worker: u32, message: Bound) -> Result<(), ScheduleError> {
+        let asks = match message {
+            Bound::Request => true,
+            Bound::Result { result, asks } => {
+                let now = Duration::from_nanos(self.now);
+                let fresh = self.scheduler.complete(WorkerId(worker.into()), &result, now)?.fresh;
+                let cells = (0..64).filter(|cell| fresh.cells & 1 << cell != 0);
+                let work: f64 = cells.map(|cell| self.costs.seconds(fresh.tile, cell)).sum();
+                self.counted_seconds += work / self.model.speed(worker);
+                self.deliver_notices()?;
+                asks
+            }
+        };
+        if asks { self.answer(worker) } else { Ok(()) }
     }
 
     fn plan_tick(&mut self) {
@@ -311,7 +396,7 @@ impl Cluster<'_> {
     fn answer(&mut self, worker: u32) -> Result<(), ScheduleError> {
         let now = Duration::from_nanos(self.now);
         match self.scheduler.request(WorkerId(worker.into()), now) {
-            Ok(Answer::Assign(assignment)) => self.send(worker, Told::Assign(assignment)),
+            Ok(Answer::Assign(assignment)) => self.outbox.push((worker, Told::Assign(assignment))),
             Ok(Answer::Wait | Answer::Done) => {}
             // It was given up.
             Err(ScheduleError::UnknownWorker { .. }) => {}
@@ -324,7 +409,7 @@ impl Cluster<'_> {
         while let Some(notice) = self.scheduler.notice() {
             match notice {
                 Notice::Shorten { worker, lease, keep } => {
-                    self.send(worker.0 as u32, Told::Shorten(lease, keep.cells));
+                    self.outbox.push((worker.0 as u32, Told::Shorten(lease, keep.cells)));
                 }
                 Notice::Wake { worker } => self.answer(worker.0 as u32)?,
             }
@@ -332,45 +417,83 @@ impl Cluster<'_> {
         Ok(())
     }
 
-    /// From the coordinator to a worker.
-    fn send(&mut self, worker: u32, told: Told) {
-        let start = self.coordinator_free.max(self.now);
-        self.coordinator_free = start + self.work_on_message();
-        let bytes = f64::from(self.model.message_bytes);
-        let leaves = self.carry(OUT, self.coordinator_free, bytes);
-        self.count(bytes);
-        self.at(leaves + nanos(self.model.latency_seconds), Event::Told(worker, told));
+    /// From the coordinator to workers: each thing in a message of its own, or one message for all that go to the same relay.
+    fn send_all(&mut self) {
+        let mut outbox = std::mem::take(&mut self.outbox);
+        if self.relays.is_empty() {
+            for (worker, told) in outbox {
+                let arrives = self.send(1);
+                self.at(arrives, Event::Told(worker, told));
+            }
+            return;
+        }
+        // Stable: what goes to one worker stays in order.
+        outbox.sort_by_key(|(worker, _)| self.relay_of(*worker));
+        let groups: Vec<Vec<(u32, Told)>> = outbox
+            .chunk_by(|(a, _), (b, _)| self.relay_of(*a) == self.relay_of(*b))
+            .map(<[(u32, Told)]>::to_vec)
+            .collect();
+        for group in groups {
+            let arrives = self.send(group.len());
+            self.at(arrives, Event::Spread(group));
+        }
+    }
+
+    /// When a message from the coordinator that says so many things arrives.
+    fn send(&mut self, things: usize) -> u64 {
+        let ready = self.work(1, things);
+        let bytes = f64::from(self.model.message_bytes) * things as f64;
+        self.carry(OUT, ready, bytes) + nanos(self.model.latency_seconds)
     }
 
     /// When the coordinator's connection has carried a message that is there at `from`.
     fn carry(&mut self, direction: usize, from: u64, bytes: f64) -> u64 {
+        self.messages += 1;
+        self.bytes += bytes as u64;
         let start = self.connection_free[direction].max(from);
         self.connection_free[direction] = start + nanos(bytes / self.model.coordinator_bytes_per_second);
         self.connection_free[direction]
     }
 
-    fn count(&mut self, bytes: f64) {
-        self.messages += 1;
-        self.bytes += bytes as u64;
+    fn bytes_of(&self, message: &Bound) -> f64 {
+        let pixels = match message {
+            Bound::Result { result, .. } => self.costs.grid().pixels(result.cells),
+            Bound::Request => 0,
+        };
+        f64::from(self.model.message_bytes) + pixels as f64 * f64::from(self.model.pixel_bytes)
     }
 
-    /// From a worker to the coordinator.
-    fn report(&mut self, bound: Bound, worker: u32) {
-        let mut bytes = f64::from(self.model.message_bytes);
-        if let Bound::Result(result) = &bound {
-            bytes += self.costs.grid().pixels(result.cells) as f64 * f64::from(self.model.pixel_bytes);
-        }
-        self.count(bytes);
+    /// From a worker to the coordinator, or to its relay.
+    fn report(&mut self, message: Bound, worker: u32) {
+        let bytes = self.bytes_of(&message);
         let sent = self.now + nanos(bytes / self.model.worker_bytes_per_second);
+        if self.relays.is_empty() {
+            self.to_coordinator(sent, bytes, vec![(worker, message)]);
+        } else {
+            self.at(sent + nanos(self.model.latency_seconds), Event::Gathered(worker, message));
+        }
+    }
+
+    fn to_coordinator(&mut self, sent: u64, bytes: f64, messages: Vec<(u32, Bound)>) {
         let arrives = self.carry(IN, sent + nanos(self.model.latency_seconds), bytes);
-        self.at(arrives, Event::Arrived(worker, bound));
+        self.at(arrives, Event::Arrived(messages));
+    }
+
+    fn relay_of(&self, worker: u32) -> usize {
+        worker as usize * self.relays.len() / self.workers.len()
+    }
+
+    fn gather(&mut self, worker: u32, message: Bound) {
+        let relay = self.relay_of(worker);
+        self.relays[relay].gathered.push((worker, message));
+        if self.relays[relay].gathered.len() == 1 {
+            let gather = self.model.relays.map_or(0.0, |relays| relays.gather_seconds);
+            self.at(self.now + nanos(gather), Event::Forward(relay));
+        }
     }
 
     fn ask(&mut self, worker: u32) {
-        let wanted = if self.model.ask_ahead { 2 } else { 1 };
-        let state = &mut self.workers[worker as usize];
-        if !state.is_lost && !state.has_asked && state.jobs.len() < wanted {
-            state.has_asked = true;
+        if self.workers[worker as usize].asks(self.model) {
             self.report(Bound::Request, worker);
         }
     }
@@ -418,6 +541,8 @@ impl Cluster<'_> {
             self.load_seconds += time.load_seconds;
             self.loads += time.loads;
             let end = self.now + nanos(time.render_seconds + time.load_seconds);
+            state.first.get_or_insert(self.now);
+            state.last = end;
             self.at(end, Event::CellDone(worker));
         }
         self.ask(worker);
@@ -439,7 +564,8 @@ impl Cluster<'_> {
                 spent: Spent { seconds: spent.as_secs_f64(), work: job.work },
             };
             state.jobs.pop_front();
-            self.report(Bound::Result(result), worker);
+            let asks = state.asks(self.model);
+            self.report(Bound::Result { result, asks }, worker);
         }
         self.go_on(worker);
     }

@@ -17,8 +17,13 @@ pub struct ClusterModel {
     pub worker_bytes_per_second: f64,
     /// What the coordinator's connection carries in each direction, all workers together.
     pub coordinator_bytes_per_second: f64,
-    /// The coordinator's time for each message that it gets or sends, its decision included.
+    /// The time of a coordinator, or of a relay, for each message that it gets or sends.
     pub message_seconds: f64,
+    /// The coordinator's time for each request, result and notice, however they come.
+    pub decision_seconds: f64,
+    /// A second level: relays between the coordinator and the workers, which gather what their workers say into one message, and
+    /// hand out what comes back in one.
+    pub relays: Option<Relays>,
     /// Bytes of a message beside its pixels.
     pub message_bytes: u32,
     /// Bytes of a pixel on its way.
@@ -39,6 +44,15 @@ pub struct ClusterModel {
     pub loss_noticed_seconds: f64,
 }
 
+/// The second level of a cluster.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Relays {
+    /// How many there are; workers belong to them in turns of equal length.
+    pub count: u32,
+    /// How long a relay gathers, from the first thing that it hears.
+    pub gather_seconds: f64,
+}
+
 impl Default for ClusterModel {
     /// Machines of one kind with SSDs on a 1 Gbit/s network, the coordinator at 10 Gbit/s.
     fn default() -> ClusterModel {
@@ -48,6 +62,8 @@ impl Default for ClusterModel {
             worker_bytes_per_second: 125e6,
             coordinator_bytes_per_second: 1.25e9,
             message_seconds: 20e-6,
+            decision_seconds: 5e-6,
+            relays: None,
             message_bytes: 100,
             pixel_bytes: 12,
             disk_seconds: 100e-6,

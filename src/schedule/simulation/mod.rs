@@ -12,7 +12,7 @@ mod measure;
 
 pub use cluster::{SimulationReport, simulate};
 pub use cost_image::{BlockSize, CostImage, CostModel};
-pub use machine::{ClusterModel, SequentialRun, sequential};
+pub use machine::{ClusterModel, Relays, SequentialRun, sequential};
 pub use measure::{AccessDetail, measure};
 
 #[cfg(test)]

@@ -33,6 +33,7 @@ fn ideal() -> ClusterModel {
         worker_bytes_per_second: f64::INFINITY,
         coordinator_bytes_per_second: f64::INFINITY,
         message_seconds: 0.0,
+        decision_seconds: 0.0,
         disk_seconds: 0.0,
         disk_bytes_per_second: f64::INFINITY,
         triangle_seconds: 0.0,
@@ -127,4 +128,18 @@ fn small_caches_load_again() {
     assert_eq!(tight.loads, 256);
     let model = ClusterModel { slots: Some(0), ..ideal() };
     assert_eq!(sequential(&model, &costs).loads, 256, "a cache has one slot at least");
+}
+
+/// Relays take load off the coordinator and lose nothing.
+#[test]
+fn relays_gather_messages() {
+    let costs = hill(1024, 1e-3);
+    let run = |relays| {
+        let model = ClusterModel { relays, ..ClusterModel::default() };
+        simulate(&costs, &model, SchedulerOptions::new(256), 256).unwrap()
+    };
+    let (flat, tree) = (run(None), run(Some(Relays { count: 16, gather_seconds: 1e-3 })));
+    assert_eq!(tree.schedule.cells_done, tree.schedule.cells);
+    assert!(tree.messages < flat.messages && tree.coordinator_load < flat.coordinator_load);
+    assert!((tree.render_seconds - flat.render_seconds).abs() < 1e-4);
 }
