@@ -10,7 +10,7 @@ use super::estimates::{Estimates, nanos};
 use super::grid::{ImageGrid, TileCells};
 use super::ledger::{Lease, Ledger, Nanos};
 use super::options::{SchedulerOptions, TilePolicy};
-use super::policy::{CurvePolicy, Policy, RowsPolicy, View};
+use super::policy::{CentralPolicy, CurvePolicy, Policy, RowsPolicy, View};
 use super::scheduler::{
     Answer, Assignment, Notice, Receipt, ScheduleProgress, Spent, TileResult, TileScheduler,
 };
@@ -42,8 +42,8 @@ pub struct AdaptiveScheduler {
 const RETRY: Nanos = 20_000_000;
 const RETRY_COUNT: u32 = 8;
 
-/// So many leases are looked at for one to take over, from the one that will be through last.
-const LOOKED_AT: usize = 8;
+/// So many leases are looked at for one to take over, from either end of their order.
+const LOOKED_AT: usize = 6;
 
 impl AdaptiveScheduler {
     /// A scheduler for an image of `width` by `height` pixels of which nothing is done.
@@ -78,8 +78,11 @@ impl AdaptiveScheduler {
     }
 
     fn start(ledger: Ledger, options: SchedulerOptions, epoch: u32) -> AdaptiveScheduler {
+        let central = |points, weight| CentralPolicy::new(&ledger, points, weight, options.expected_workers);
         let policy: Box<dyn Policy> = match options.policy {
             TilePolicy::Rows => Box::new(RowsPolicy::new(&ledger)),
+            TilePolicy::Nearest(points) => Box::new(central(points, 0.0)),
+            TilePolicy::TradeOff { points, weight } => Box::new(central(points, weight)),
             TilePolicy::Curve => Box::new(CurvePolicy::new(&ledger, options.expected_workers)),
         };
         AdaptiveScheduler {
@@ -166,17 +169,22 @@ impl AdaptiveScheduler {
 
     /// Work for an idle worker when nothing is free: part of a lease that another holds, or all of one that is overdue.
     fn take_over(&mut self, slot: u32) -> Option<Answer> {
-        self.put_off_overdue();
-        let others = || self.ledger.latest().take(LOOKED_AT).filter(|(_, lease)| lease.slot != slot);
         let estimates = self.estimates();
-        let cut = others()
-            .map(|(id, lease)| (id, estimates.cut(slot, lease, self.now)))
-            .find(|(_, cells)| !cells.is_empty());
-        if let Some((id, cells)) = cut {
+        // The ones that will be through last, and the ones that should have been through first.
+        let others = || {
+            let ends = self.ledger.latest().take(LOOKED_AT).chain(self.ledger.earliest().take(LOOKED_AT));
+            ends.filter(|(_, lease)| lease.slot != slot)
+        };
+        let cuts = others().filter_map(|(id, lease)| {
+            let (cells, gain) = estimates.cut(slot, lease, self.now)?;
+            Some((gain, id, cells))
+        });
+        if let Some((_, id, cells)) = cuts.max_by_key(|(gain, id, _)| (*gain, *id)) {
             self.ledger.change(id, |lease| {
                 let before = lease.cells.count();
                 lease.cells.cells &= !cells.cells;
                 let part = f64::from(lease.cells.count()) / f64::from(before);
+                // One that is overdue stays so.
                 lease.lasts = lease.lasts.map(|lasts| (lasts as f64 * part) as Nanos);
             });
             self.counts.leases_cut += 1;
@@ -195,17 +203,6 @@ impl AdaptiveScheduler {
         self.ledger.change(id, |lease| lease.is_raced = true);
         self.counts.leases_raced += 1;
         Some(self.assign(slot, cells, true))
-    }
-
-    /// A lease that should be through by now takes longer than was thought: a quarter of the time that it has had, again. Looks
-    /// at the one that ends last; when that is overdue, all are.
-    fn put_off_overdue(&mut self) {
-        for _ in 0..LOOKED_AT {
-            let latest = self.ledger.latest().next().map(|(id, lease)| (id, *lease));
-            let Some((id, lease)) = latest.filter(|(_, lease)| lease.finish() < self.now) else { return };
-            let spent = self.now - lease.start;
-            self.ledger.change(id, |lease| lease.lasts = Some(spent + spent / 4));
-        }
     }
 
     /// The estimates for what a worker holds start anew: it begins with the first now.

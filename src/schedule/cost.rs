@@ -98,3 +98,37 @@ fn distance2(square: [u32; 2], side: u32, target: [u32; 2]) -> f64 {
     let [dx, dy] = [0, 1].map(|axis| (f64::from(square[axis]) + 0.5) * side - f64::from(target[axis]) - 0.5);
     dx * dx + dy * dy
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Within a few percent of the sum over all finished tiles.
+    #[test]
+    fn estimates_are_close_to_the_sum_over_all_tiles() {
+        let grid = ImageGrid::new(640, 360, 8, 8).unwrap();
+        let mut map = CostMap::new(&grid);
+        let mut done: Vec<(TileId, f64)> = Vec::new();
+        assert_eq!(map.estimate(&grid, TileId(3)), None);
+        for step in 0u32..900 {
+            let tile = TileId(step.wrapping_mul(2_654_435_761) % grid.tile_count());
+            let [column, row] = grid.place(tile);
+            // A hill on a plain.
+            let work = 1.0 + 20.0 * (-distance2([column, row], 1, [20, 30]) / 100.0).exp();
+            map.record(&grid, TileCells { tile, cells: 1 }, work);
+            done.push((tile, work));
+        }
+        for tile in (0..grid.tile_count()).step_by(7).map(TileId) {
+            let (mut weights, mut sum) = (0.0, 0.0);
+            for (other, work) in &done {
+                let weight = 1.0 / distance2(grid.place(*other), 1, grid.place(tile)).max(0.1).powi(2);
+                weights += weight;
+                sum += weight * work;
+            }
+            let (naive, fast) = (sum / weights, map.estimate(&grid, tile).unwrap());
+            assert!((fast - naive).abs() < 0.1 * naive, "{tile:?}: {fast} for {naive}");
+        }
+        let mean = done.iter().map(|(_, work)| work).sum::<f64>() / done.len() as f64;
+        assert!((map.mean().unwrap() - mean).abs() < 1e-9 * mean);
+    }
+}

@@ -52,12 +52,14 @@ impl Estimates<'_> {
             let workers = self.crew.len().max(options.expected_workers as usize) as f64;
             most = most.min(self.ledger.cells() as f64 / workers / f64::from(options.tiles_per_worker));
         }
-        if options.share_of_rest > 0.0 {
-            let share = self.work_left() * self.speed(slot) / self.total_speed() * options.share_of_rest;
-            let cell = self.cell_work(tile);
-            // Cells that cost nothing are handed out by the tile.
-            if cell > 0.0 {
+        // Cells that cost nothing are handed out by the tile.
+        if let Some(cell) = Some(self.cell_work(tile)).filter(|cell| *cell > 0.0) {
+            if options.share_of_rest > 0.0 {
+                let share = self.work_left() * self.speed(slot) / self.total_speed() * options.share_of_rest;
                 most = most.min(share / cell);
+            }
+            if self.costs.mean().is_some() {
+                most = most.max(options.hand_out_min.as_secs_f64() * self.speed(slot) / cell);
             }
         }
         (most as u32).clamp(1, per_tile)
@@ -85,34 +87,36 @@ impl Estimates<'_> {
         Duration::from_nanos(nanos_of_seconds((self.work_left() / self.total_speed()).max(cell)))
     }
 
-    /// The back of a lease, such that its holder and the worker `slot` end at the same time; empty if that is not worth while.
-    pub fn cut(&self, slot: u32, lease: &Lease, now: Nanos) -> TileCells {
-        let none = TileCells { tile: lease.cells.tile, cells: 0 };
-        let count = lease.cells.count();
-        if lease.is_raced {
-            return none;
-        }
-        let keep = match lease.lasts {
-            Some(lasts) => {
-                let cell = (lasts as f64 / f64::from(count)).max(1.0);
-                let own_cell = cell * self.speed(lease.slot) / self.speed(slot);
+    /// The back of a lease, such that its holder and the worker `slot` end at the same time, and how long the worker will have to do with it.
+    /// None if that is not worth while.
+    pub fn cut(&self, slot: u32, lease: &Lease, now: Nanos) -> Option<(TileCells, Nanos)> {
+        let count = f64::from(lease.cells.count());
+        let [holder, own] = [lease.slot, slot].map(|slot| self.speed(slot));
+        let spent = now.saturating_sub(lease.start) as f64;
+        let (keep, own_cell) = match lease.lasts {
+            _ if lease.is_raced => return None,
+            Some(lasts) if lease.finish() > now => {
+                let cell = (lasts as f64 / count).max(1.0);
+                let own_cell = cell * holder / own;
                 let wait = lease.start.saturating_sub(now) as f64;
-                let spent = now.saturating_sub(lease.start) as f64;
                 // wait + keep * cell - spent = (count - keep) * own_cell
-                let equal = ((f64::from(count) * own_cell + spent - wait) / (cell + own_cell)).ceil();
+                let equal = ((count * own_cell + spent - wait) / (cell + own_cell)).ceil();
                 // The cell that the holder is at stays with it.
                 let at = if wait > 0.0 { 0.0 } else { (spent / cell).floor() + 1.0 };
-                let keep = equal.max(at).clamp(0.0, f64::from(count)) as u32;
-                if f64::from(count - keep) * own_cell < nanos(self.options.take_over_min) as f64 {
-                    return none;
-                }
-                keep
+                (equal.max(at), own_cell)
             }
-            // Nothing is known but that it has begun.
-            None => count.div_ceil(2),
+            // It should be through, or nothing is known: it may be anywhere. What has lasted long will last long; and if the holder is beyond the middle
+            // already, it is through as soon as it hears, and little is done twice.
+            _ => ((count * holder / (holder + own)).ceil(), spent / count * holder / own),
         };
-        let kept = first_cells(lease.cells.cells, keep, true);
-        TileCells { cells: lease.cells.cells & !kept, ..none }
+        let keep = keep.clamp(0.0, count);
+        let gain = (count - keep) * own_cell;
+        if keep == count || gain < nanos(self.options.take_over_min) as f64 {
+            return None;
+        }
+        let kept = first_cells(lease.cells.cells, keep as u32, true);
+        let cells = TileCells { tile: lease.cells.tile, cells: lease.cells.cells & !kept };
+        Some((cells, gain as Nanos))
     }
 }
 

@@ -115,6 +115,11 @@ impl Ledger {
         self.finishes.iter().rev().filter_map(|(_, id)| Some((*id, self.leases.get(id)?)))
     }
 
+    /// Leases, the one that will be, or should be, through first first.
+    pub fn earliest(&self) -> impl Iterator<Item = (LeaseId, &Lease)> {
+        self.finishes.iter().filter_map(|(_, id)| Some((*id, self.leases.get(id)?)))
+    }
+
     /// When the next lease runs out, and which.
     pub fn next_deadline(&self) -> Option<(Nanos, LeaseId)> {
         self.deadlines.first().copied()

@@ -20,12 +20,13 @@ mod ledger;
 mod options;
 mod policy;
 mod scheduler;
+pub mod simulation;
 mod speed;
 
 pub use adaptive::AdaptiveScheduler;
 pub use checkpoint::ScheduleCheckpoint;
 pub use grid::{ImageGrid, Region, TileCells};
-pub use options::{SchedulerOptions, TilePolicy};
+pub use options::{CentralPoints, SchedulerOptions, TilePolicy};
 pub use scheduler::{
     Answer, Assignment, Notice, Receipt, ScheduleProgress, Spent, TileResult, TileScheduler,
 };

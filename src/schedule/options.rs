@@ -4,11 +4,31 @@ use std::time::Duration;
 
 use crate::error::ScheduleError;
 
+/// Where the workers' central points lie (the paper).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CentralPoints {
+    /// In the middles of rectangles of equal area.
+    #[default]
+    Even,
+    /// On the image's diagonals, which form an X.
+    Diagonals,
+}
+
 /// How the next tile of a worker is chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TilePolicy {
     /// Row by row, from the upper left: what a queue of tiles does. For comparison.
     Rows,
+    /// The free tile nearest to the worker's central point (the paper).
+    Nearest(CentralPoints),
+    /// The free tile for which `distance to the worker's point - weight * distance to the nearest other point` is
+    /// least (the paper's trade-off: near one's own point, far from the others').
+    TradeOff {
+        /// Where the points lie.
+        points: CentralPoints,
+        /// What the distance to the others counts, 0 to 1.
+        weight: f64,
+    },
     /// Every worker has a piece of the curve through all cells and works along it. One whose piece is at an end takes over
     /// half of the piece that would take longest. The default.
     Curve,
@@ -32,6 +52,9 @@ pub struct SchedulerOptions {
     /// Late subdivision: a hand-out is at most this part of what is left per worker, but at least one cell. 0 hands out
     /// whole tiles to the end.
     pub share_of_rest: f64,
+    /// No hand-out is expected to last less than this: each costs the coordinator some messages, and it has many workers to
+    /// serve.
+    pub hand_out_min: Duration,
     /// Whether a worker stops at a critical time: when, by the estimates, nothing would be left to do for the others.
     pub critical_time: bool,
     /// Whether an idle worker gets cells that another still has to do, when nothing is free: the back half of what is left of the
@@ -59,6 +82,7 @@ impl SchedulerOptions {
             policy: TilePolicy::Curve,
             tiles_per_worker: 5,
             share_of_rest: 0.25,
+            hand_out_min: Duration::from_micros(50 * u64::from(expected_workers)),
             critical_time: false,
             take_over: true,
             learn_speeds: true,
@@ -89,7 +113,9 @@ impl SchedulerOptions {
             "lease factor",
             "a lease must last at least its expected time",
         )?;
-        check(self.lease_min > Duration::ZERO, "shortest lease", "it must be longer than nothing")
+        check(self.lease_min > Duration::ZERO, "shortest lease", "it must be longer than nothing")?;
+        let weight = if let TilePolicy::TradeOff { weight, .. } = self.policy { weight } else { 0.0 };
+        check((0.0..=1.0).contains(&weight), "trade-off", "its weight must be 0 to 1")
     }
 }
 

@@ -1,8 +1,12 @@
 //! Which free cells a worker gets next.
 
+mod central;
 mod curve;
+mod nearest;
+mod points;
 mod rows;
 
+pub(in crate::schedule) use central::CentralPolicy;
 pub(in crate::schedule) use curve::CurvePolicy;
 pub(in crate::schedule) use rows::RowsPolicy;
 

@@ -13,7 +13,12 @@ use crate::units::{LeaseId, TileId, WorkerId};
 
 /// Every policy, and every switch in both positions.
 fn all_options() -> impl Strategy<Value = SchedulerOptions> {
-    let policies = prop_oneof![Just(TilePolicy::Rows), Just(TilePolicy::Curve)];
+    let policies = prop_oneof![
+        1 => Just(TilePolicy::Rows),
+        1 => Just(TilePolicy::Nearest(CentralPoints::Even)),
+        1 => (0.0..=1.0).prop_map(|weight| TilePolicy::TradeOff { points: CentralPoints::Diagonals, weight }),
+        3 => Just(TilePolicy::Curve),
+    ];
     let sides = prop_oneof![Just((64, 8)), Just((32, 32)), Just((16, 4)), Just((8, 4))];
     let switches = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
     let numbers = (1u32..20, 1u32..5, prop_oneof![Just(0.0), 0.0..1.0]);
