@@ -84,7 +84,8 @@ impl Picture {
                     .map(|(x, y)| {
                         let [r, g, b] = self.film().pixel(x, y);
                         // Bright enough to show the colour, contrast enough to show the picture.
-                        let brightness = 0.35 + 0.65 * (0.2126 * r + 0.7152 * g + 0.0722 * b).clamp(0.0, 1.0);
+                        let luminance = (0.2126 * r + 0.7152 * g + 0.0722 * b).clamp(0.0, 1.0);
+                        let brightness = 0.15 + 1.05 * luminance.sqrt();
                         colour.map(|channel| channel * brightness)
                     })
                     .collect();
