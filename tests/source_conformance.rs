@@ -4,16 +4,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use outcrop::cluster::{Reader, ReaderCounters, RemoteOptions, RemoteSource, RoleOptions, run_reader};
-use outcrop::transport::{LocalNetwork, SharedKey, TcpOptions, TcpTransport, Transport};
-use outcrop::units::Bytes;
-use outcrop::{BlockSource, MemoryBudget};
 use outcrop::block::{BlockData, BlockLimits, Codec, DecodeScratch};
+use outcrop::cluster::{Reader, ReaderCounters, RemoteOptions, RemoteSource, RoleOptions, run_reader};
 use outcrop::error::{ModelError, SourceError};
 use outcrop::geom::Precision;
 use outcrop::source::testing::{FaultRates, FaultySource, SlowSource, memory_model};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
+use outcrop::transport::{LocalNetwork, SharedKey, TcpOptions, TcpTransport, Transport};
 use outcrop::units::BlockId;
+use outcrop::units::Bytes;
+use outcrop::{BlockSource, MemoryBudget};
 
 const LIMITS: BlockLimits = BlockLimits { block_bytes_max: 4096 };
 
@@ -159,11 +159,13 @@ fn with_readers(
                 let budget = MemoryBudget::new(Bytes::mib(64));
                 let source = Arc::new(MemorySource::new(file.to_vec()).unwrap());
                 let own = transport.address().unwrap();
-                let reader = Reader::new(source, "reader", &own, memory, &budget, RoleOptions::default()).unwrap();
+                let reader =
+                    Reader::new(source, "reader", &own, memory, &budget, RoleOptions::default()).unwrap();
                 let (address, stop) = (&address, &stop);
                 let running = Arc::clone(&transport);
                 let thread = scope.spawn(move || {
-                    run_reader(&*running, reader, address, Duration::from_secs(60), stop, &mut |_| {}).unwrap()
+                    run_reader(&*running, reader, address, Duration::from_secs(60), stop, &mut |_| {})
+                        .unwrap()
                 });
                 (transport, thread)
             })

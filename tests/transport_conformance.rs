@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use outcrop::error::TransportError;
 use outcrop::transport::{
-    FRAME_BYTES_MAX, LinkModel, LocalNetwork, PeerId, SharedKey, SimNetwork, TcpOptions, TcpTransport, Transport,
-    TransportEvent,
+    FRAME_BYTES_MAX, LinkModel, LocalNetwork, PeerId, SharedKey, SimNetwork, TcpOptions, TcpTransport,
+    Transport, TransportEvent,
 };
 
 /// Long enough for any machine; nothing waits for it in vain.
@@ -271,5 +271,8 @@ fn the_same_seed_gives_the_same_run() {
     };
     assert_eq!(run(1), run(1));
     // Peers overtake each other differently.
-    assert_ne!(run(1).iter().map(|e| e.0.0).collect::<Vec<_>>(), run(2).iter().map(|e| e.0.0).collect::<Vec<_>>());
+    assert_ne!(
+        run(1).iter().map(|e| e.0.0).collect::<Vec<_>>(),
+        run(2).iter().map(|e| e.0.0).collect::<Vec<_>>()
+    );
 }

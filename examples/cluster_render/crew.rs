@@ -29,7 +29,12 @@ impl Crew {
                 let mut command = Command::new(std::env::current_exe()?);
                 command.arg(model).args(["--role", role, "--connect", coordinator]);
                 command.args(["--name", &format!("{role} {number}")]);
-                command.args(["--lanes", &options.lanes.to_string(), "--memory", &options.memory.0.to_string()]);
+                command.args([
+                    "--lanes",
+                    &options.lanes.to_string(),
+                    "--memory",
+                    &options.memory.0.to_string(),
+                ]);
                 if options.verbose {
                     command.arg("--verbose");
                 } else {

@@ -9,8 +9,8 @@ use std::thread;
 use std::time::Duration;
 
 use outcrop::cluster::{
-    Checkpoint, Coordinator, CoordinatorOptions, HostRole, Job, Reader, RemoteOptions, RoleOptions, WorkerOptions,
-    model_key, run_coordinator, run_reader, run_worker,
+    Checkpoint, Coordinator, CoordinatorOptions, HostRole, Job, Reader, RemoteOptions, RoleOptions,
+    WorkerOptions, model_key, run_coordinator, run_reader, run_worker,
 };
 use outcrop::compile::{CompileOptions, Compiler, Control};
 use outcrop::model::Model;
@@ -62,14 +62,14 @@ fn open(path: &Path) -> Result<DiskSource, Box<dyn Error>> {
 }
 
 /// The compiled model: the one that was given, or gears.
-fn model(options: &Options, meter: &mut Meter) -> Result<PathBuf, Box<dyn Error>> {
+fn model(options: &Options, interrupt: &Interrupt, meter: &mut Meter) -> Result<PathBuf, Box<dyn Error>> {
     if let Some(path) = &options.model {
         return Ok(path.clone());
     }
     let path = options.output.with_file_name(format!("cluster-gears{}.outcrop", options.gears_n));
     let mut progress = |progress: outcrop::compile::Progress| {
         meter.set("compiling", progress.fraction.unwrap_or(0.0));
-        Control::Continue
+        if interrupt.is_requested() { Control::Cancel } else { Control::Continue }
     };
     let budget = MemoryBudget::new(options.memory);
     let gears = if options.is_small {
@@ -89,7 +89,8 @@ fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
         let aspect = f64::from(options.size[0]) / f64::from(options.size[1]);
         return Ok(Scene::automatic(&model.bounds, aspect));
     }
-    let camera = Camera::pinhole(gears_view::EYE, gears_view::LOOK_AT, gears_view::UP, gears_view::FOV_DEGREES)?;
+    let camera =
+        Camera::pinhole(gears_view::EYE, gears_view::LOOK_AT, gears_view::UP, gears_view::FOV_DEGREES)?;
     let lights = gears_view::LAMPS.map(|position| Light::point(position, [gears_view::INTENSITY; 3]));
     Ok(Scene::new(camera)
         .with_lights(lights)
@@ -99,7 +100,7 @@ fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
 
 fn coordinate(options: &Options, key: &SharedKey, interrupt: &Interrupt) -> Result<ExitCode, Box<dyn Error>> {
     let mut meter = Meter::new();
-    let path = model(options, &mut meter)?;
+    let path = model(options, interrupt, &mut meter)?;
     let file = open(&path)?;
     let mut settings = RenderSettings::new(options.size[0], options.size[1]);
     settings.samples_per_pixel = options.samples_per_pixel;
@@ -126,7 +127,12 @@ fn coordinate(options: &Options, key: &SharedKey, interrupt: &Interrupt) -> Resu
     let coordinator = Coordinator::restore(job.clone(), coordinator_options, records, &budget)?;
     let before = coordinator.progress();
     if before.cells_done > 0 {
-        println!("going on from {}: {} of {} cells", options.checkpoint.display(), before.cells_done, before.cells);
+        println!(
+            "going on from {}: {} of {} cells",
+            options.checkpoint.display(),
+            before.cells_done,
+            before.cells
+        );
     }
     let mut crew = Crew::default();
     if options.role.is_none() {
@@ -266,7 +272,8 @@ fn read(options: &Options, key: SharedKey, interrupt: &Interrupt) -> Result<Exit
     let name = options.name.clone().unwrap_or_else(|| format!("reader {}", std::process::id()));
     let path = options.model.as_ref().ok_or("a reader needs the compiled model")?;
     let listen = options.listen.clone().unwrap_or_else(|| "127.0.0.1:0".to_owned());
-    let transport = TcpTransport::open(key, TcpOptions { listen: Some(listen), ..TcpOptions::connecting(&name) })?;
+    let transport =
+        TcpTransport::open(key, TcpOptions { listen: Some(listen), ..TcpOptions::connecting(&name) })?;
     let own = transport.address().ok_or("the reader listens nowhere")?;
     let address = options.advertise.clone().unwrap_or(own);
     let budget = MemoryBudget::new(options.memory);

@@ -175,8 +175,9 @@ impl Options {
             .or(rank)
             .ok_or("--hosts: which node is this? Give its line with --node, or start it by srun")?;
         let nodes = hosts.nodes();
-        let (address, role) =
-            nodes.get(node).ok_or_else(|| format!("--node {node}: the host file has {} nodes", nodes.len()))?;
+        let (address, role) = nodes
+            .get(node)
+            .ok_or_else(|| format!("--node {node}: the host file has {} nodes", nodes.len()))?;
         self.role = Some(*role);
         self.workers = (hosts.count(HostRole::Worker) as u32).max(1);
         self.readers = hosts.count(HostRole::Reader);

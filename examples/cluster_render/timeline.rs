@@ -28,9 +28,11 @@ pub fn timeline_svg(lanes: &[LaneInfo], spans: &[Span]) -> String {
         let [r, g, b] = map_colour(index).map(|channel| (255.0 * channel.sqrt()).round() as u8);
         let y = 30.0 + ROW * row as f64;
         let name = lane.worker.replace('&', "&amp;").replace('<', "&lt;");
-        let name = if lanes.iter().any(|other| other.lane > 0) { format!("{name}.{}", lane.lane) } else { name };
+        let name =
+            if lanes.iter().any(|other| other.lane > 0) { format!("{name}.{}", lane.lane) } else { name };
         // Writing to a String cannot fail.
-        let _ = writeln!(svg, "<text x=\"{}\" y=\"{}\" text-anchor=\"end\">{name}</text>", LEFT - 8.0, y + 14.0);
+        let _ =
+            writeln!(svg, "<text x=\"{}\" y=\"{}\" text-anchor=\"end\">{name}</text>", LEFT - 8.0, y + 14.0);
         for span in spans.iter().filter(|span| span.lane as usize == row) {
             let (start, end) = (x(span.start.as_secs_f64()), x(span.end.as_secs_f64()));
             let _ = writeln!(

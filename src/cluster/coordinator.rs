@@ -12,8 +12,8 @@ use crate::budget::MemoryBudget;
 use crate::error::{BudgetError, ScheduleError};
 use crate::render::Film;
 use crate::schedule::{
-    AdaptiveScheduler, Answer, Assignment, ImageGrid, Notice, ScheduleProgress, SchedulerOptions, Spent, TileCells,
-    TileResult, TileScheduler,
+    AdaptiveScheduler, Answer, Assignment, ImageGrid, Notice, ScheduleProgress, SchedulerOptions, Spent,
+    TileCells, TileResult, TileScheduler,
 };
 use crate::transport::{PeerId, TransportEvent};
 use crate::units::{LeaseId, TileId, WorkerId};
@@ -127,11 +127,8 @@ impl Coordinator {
         options: CoordinatorOptions,
         budget: &MemoryBudget,
     ) -> Result<Coordinator, CoordinatorError> {
-        let schedule = SchedulerOptions {
-            tile_side: job.tile_side,
-            cell_side: job.cell_side,
-            ..options.schedule
-        };
+        let schedule =
+            SchedulerOptions { tile_side: job.tile_side, cell_side: job.cell_side, ..options.schedule };
         let scheduler = AdaptiveScheduler::new(job.settings.width, job.settings.height, schedule)?;
         Coordinator::start(job, options, scheduler, budget)
     }
@@ -279,7 +276,8 @@ impl Coordinator {
     /// When [`Coordinator::tick`] is to be called next.
     pub fn next_tick(&self) -> Duration {
         let RoleOptions { heartbeat, silence_max } = self.options.roles;
-        let nodes = self.nodes.values().map(|node| (node.last_heard + silence_max).min(node.last_told + heartbeat));
+        let nodes =
+            self.nodes.values().map(|node| (node.last_heard + silence_max).min(node.last_told + heartbeat));
         nodes.chain(self.scheduler.next_tick()).min().unwrap_or(self.now + heartbeat)
     }
 
@@ -370,7 +368,10 @@ impl Coordinator {
         let count = |is: fn(&Member) -> bool| {
             self.nodes.values().filter(|node| node.member.as_ref().is_some_and(is)).count()
         };
-        (count(|member| matches!(member, Member::Worker { .. })), count(|member| matches!(member, Member::Reader { .. })))
+        (
+            count(|member| matches!(member, Member::Worker { .. })),
+            count(|member| matches!(member, Member::Reader { .. })),
+        )
     }
 
     /// A message of a node that is there; the reason to end the connection if it makes no sense.
@@ -392,12 +393,17 @@ impl Coordinator {
                 let worker = *lanes.get(usize::from(lane)).ok_or("it has no such lane")?;
                 self.ask(worker, actions)
             }
-            (
-                Some(Member::Worker { lanes }),
-                Message::Result { lane, what, is_last, micros, work },
-            ) => {
+            (Some(Member::Worker { lanes }), Message::Result { lane, what, is_last, micros, work }) => {
                 let worker = *lanes.get(usize::from(lane)).ok_or("it has no such lane")?;
-                self.result(worker, what, is_last, Spent { seconds: micros as f64 * 1e-6, work }, micros, tail, actions)
+                self.result(
+                    worker,
+                    what,
+                    is_last,
+                    Spent { seconds: micros as f64 * 1e-6, work },
+                    micros,
+                    tail,
+                    actions,
+                )
             }
             (Some(_), Message::Failed { reason }) => Err(format!("it cannot go on: {reason}")),
             (Some(_), _) => Err("a message that is not for a coordinator".to_owned()),
@@ -465,10 +471,11 @@ impl Coordinator {
     }
 
     fn readers(&self) -> Message {
-        let address = |peer: &Option<PeerId>| match peer.and_then(|peer| self.nodes.get(&peer)?.member.as_ref()) {
-            Some(Member::Reader { address, .. }) => short(address.clone()),
-            _ => String::new(),
-        };
+        let address =
+            |peer: &Option<PeerId>| match peer.and_then(|peer| self.nodes.get(&peer)?.member.as_ref()) {
+                Some(Member::Reader { address, .. }) => short(address.clone()),
+                _ => String::new(),
+            };
         Message::Readers { addresses: self.places.iter().map(address).collect() }
     }
 
@@ -512,7 +519,8 @@ impl Coordinator {
             return Err("it sent pixels that do not fit their cells".to_owned());
         }
         let result = TileResult { lease: LeaseId(what.lease), cells, is_last, spent };
-        let receipt = self.scheduler.complete(worker, &result, self.now).map_err(|error| error.to_string())?;
+        let receipt =
+            self.scheduler.complete(worker, &result, self.now).map_err(|error| error.to_string())?;
         self.counters.results += 1;
         self.counters.cells_repeated += u64::from(receipt.repeated);
         // Lanes are numbered as they stand in the list.
@@ -634,7 +642,9 @@ pub enum CoordinatorError {
     #[error(transparent)]
     Budget(#[from] BudgetError),
     /// The checkpoint belongs to another picture.
-    #[error("the checkpoint belongs to another picture; remove it, or give the options that it was made with")]
+    #[error(
+        "the checkpoint belongs to another picture; remove it, or give the options that it was made with"
+    )]
     OtherPicture,
     /// The checkpoint cannot be read or written.
     #[error("cannot read or write the checkpoint {}: {error}", path.display())]

@@ -475,7 +475,11 @@ impl Engine<'_> {
     }
 
     /// Where blocks come from, as soon as there is such a place.
-    fn source(&self, options: &WorkerOptions, data: &Arc<dyn Transport>) -> Result<Option<Source>, SourceError> {
+    fn source(
+        &self,
+        options: &WorkerOptions,
+        data: &Arc<dyn Transport>,
+    ) -> Result<Option<Source>, SourceError> {
         let has_readers = !self.readers.is_empty();
         Ok(match &options.file {
             Some(file) if has_readers => {
@@ -509,7 +513,8 @@ impl Engine<'_> {
         let budget = &options.budget;
         // The octree's cache takes what is left of the budget.
         let scratch = Renderer::region_bytes(&job.scene, blocks.model(), &job.settings)?;
-        let set_aside = budget.reserve(Bytes(scratch.0 * u64::from(lanes)), "the lanes' ray trees and pixels")?;
+        let set_aside =
+            budget.reserve(Bytes(scratch.0 * u64::from(lanes)), "the lanes' ray trees and pixels")?;
         let octree_options = OctreeOptions { tracers_max: u32::from(lanes), ..options.octree };
         let octree = LazyOctree::open(blocks, budget, octree_options)?;
         drop(set_aside);

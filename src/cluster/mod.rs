@@ -29,7 +29,9 @@ pub use coordinator::{
 };
 pub use drive::{NodeError, WorkerOptions, WorkerReport, run_coordinator, run_reader, run_worker};
 pub use hosts::{HostRole, Hosts, HostsError};
-pub use message::{BLOCKS_MAX, Job, LeasedCells, MESSAGE_VERSION, Message, MessageError, RANGE_BYTES_MAX, Role};
+pub use message::{
+    BLOCKS_MAX, Job, LeasedCells, MESSAGE_VERSION, Message, MessageError, RANGE_BYTES_MAX, Role,
+};
 pub use model_file::{ModelFile, model_key, readers_of};
 pub use reader::{Reader, ReaderCounters};
 pub use remote_source::{RemoteCounters, RemoteOptions, RemoteSource};

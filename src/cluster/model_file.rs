@@ -78,7 +78,10 @@ pub fn readers_of(block: u32, count: usize) -> impl Iterator<Item = usize> {
     let owner = block.checked_rem(count).unwrap_or(0);
     let others = count.saturating_sub(1);
     let turn = (block / count.max(1)).checked_rem(others).unwrap_or(0);
-    (0..count).take(1).map(move |_| owner).chain((0..others).map(move |k| (owner + 1 + (turn + k) % others) % count))
+    (0..count)
+        .take(1)
+        .map(move |_| owner)
+        .chain((0..others).map(move |k| (owner + 1 + (turn + k) % others) % count))
 }
 
 #[cfg(test)]

@@ -7,8 +7,8 @@ use std::time::Duration;
 use super::message::{MESSAGE_VERSION, Message, Role, short};
 use super::model_file::{ModelFile, model_key};
 use super::{Action, RoleOptions};
-use crate::error::BudgetError;
 use crate::budget::{MemoryBudget, Reservation};
+use crate::error::BudgetError;
 use crate::transport::{PeerId, TransportEvent};
 use crate::units::{BlockId, Bytes};
 

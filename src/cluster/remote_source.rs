@@ -173,7 +173,9 @@ impl RemoteSource {
             let fetched = FileFetch::start(&*transport, address, options.answer_time_max)
                 .and_then(|mut fetch| fetch.model());
             match fetched {
-                Ok(model) => return Ok(RemoteSource::new(Arc::new(model), None, transport, readers, options)),
+                Ok(model) => {
+                    return Ok(RemoteSource::new(Arc::new(model), None, transport, readers, options));
+                }
                 Err(error) => last = error,
             }
         }
@@ -231,7 +233,8 @@ impl RemoteSource {
         for block in blocks {
             let Some(entry) = self.model.entry(*block) else { continue };
             let bytes = u64::from(entry.stored_bytes);
-            if state.wanted.contains_key(&block.0) || state.ahead_bytes + bytes > self.options.ahead_bytes_max {
+            if state.wanted.contains_key(&block.0) || state.ahead_bytes + bytes > self.options.ahead_bytes_max
+            {
                 continue;
             }
             let owner = readers_of(block.0, state.links.len()).next();
@@ -362,7 +365,8 @@ impl RemoteSource {
         match event {
             TransportEvent::Frame { peer, bytes } => match Message::parse(&bytes) {
                 Ok((Message::Block { block }, stored)) => {
-                    let Some(wanted) = state.wanted.get_mut(&block).filter(|wanted| wanted.peer == peer) else {
+                    let Some(wanted) = state.wanted.get_mut(&block).filter(|wanted| wanted.peer == peer)
+                    else {
                         // Late, after it was asked elsewhere.
                         return;
                     };
@@ -569,21 +573,33 @@ impl<'t> FileFetch<'t> {
             let left = deadline.saturating_duration_since(Instant::now());
             let event = self.transport.receive(left).map_err(|error| gone(error.to_string()))?;
             match event {
-                None => return Err(failed(what, io::ErrorKind::TimedOut, "a reader does not answer".to_owned())),
-                Some(TransportEvent::Frame { peer, bytes }) if peer == self.peer => match Message::parse(&bytes) {
-                    Ok((Message::FilePart { offset: found, file_bytes }, part)) if found == offset => {
-                        self.file_bytes = file_bytes;
-                        if part.len() != into.len() {
-                            let name = NAME.to_owned();
-                            return Err(SourceError::Truncated { what: what.to_owned(), name, end: file_bytes });
+                None => {
+                    return Err(failed(what, io::ErrorKind::TimedOut, "a reader does not answer".to_owned()));
+                }
+                Some(TransportEvent::Frame { peer, bytes }) if peer == self.peer => {
+                    match Message::parse(&bytes) {
+                        Ok((Message::FilePart { offset: found, file_bytes }, part)) if found == offset => {
+                            self.file_bytes = file_bytes;
+                            if part.len() != into.len() {
+                                let name = NAME.to_owned();
+                                return Err(SourceError::Truncated {
+                                    what: what.to_owned(),
+                                    name,
+                                    end: file_bytes,
+                                });
+                            }
+                            into.copy_from_slice(part);
+                            return Ok(());
                         }
-                        into.copy_from_slice(part);
-                        return Ok(());
+                        Ok(_) => {}
+                        Err(error) => {
+                            return Err(failed(what, io::ErrorKind::InvalidData, error.to_string()));
+                        }
                     }
-                    Ok(_) => {}
-                    Err(error) => return Err(failed(what, io::ErrorKind::InvalidData, error.to_string())),
-                },
-                Some(TransportEvent::Disconnected { peer, reason }) if peer == self.peer => return Err(gone(reason)),
+                }
+                Some(TransportEvent::Disconnected { peer, reason }) if peer == self.peer => {
+                    return Err(gone(reason));
+                }
                 Some(_) => {}
             }
         }

@@ -257,7 +257,12 @@ impl Worker {
         }
     }
 
-    fn obey(&mut self, message: Message, now: Duration, actions: &mut Vec<WorkerAction>) -> Result<(), String> {
+    fn obey(
+        &mut self,
+        message: Message,
+        now: Duration,
+        actions: &mut Vec<WorkerAction>,
+    ) -> Result<(), String> {
         match message {
             Message::Alive => Ok(()),
             Message::Finished => {
@@ -305,7 +310,12 @@ impl Worker {
         }
     }
 
-    fn take_job(&mut self, job: Box<Job>, now: Duration, actions: &mut Vec<WorkerAction>) -> Result<(), String> {
+    fn take_job(
+        &mut self,
+        job: Box<Job>,
+        now: Duration,
+        actions: &mut Vec<WorkerAction>,
+    ) -> Result<(), String> {
         self.is_confirmed = true;
         if self.job.as_ref() == Some(&job) {
             // A coordinator that was restarted, or a connection that was lost: what is done is for it.
@@ -349,7 +359,8 @@ impl Worker {
         let (Some(cells), Some(held)) = (lane.rendering.take(), lane.held.front_mut()) else { return };
         let square = TileCells { tile: held.tile, cells };
         let squares = grid.squares(square, 64);
-        let Some((_, whole)) = squares.first().filter(|(_, region)| region.pixels() == pixels.len() as u64) else {
+        let Some((_, whole)) = squares.first().filter(|(_, region)| region.pixels() == pixels.len() as u64)
+        else {
             return;
         };
         for (cell, region) in grid.squares(square, 1) {

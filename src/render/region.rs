@@ -4,12 +4,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::counters::EffectCounters;
 use super::film::Film;
+use super::paths;
 use super::renderer::{Renderer, set};
 use super::settings::RenderSettings;
 use super::stage::Stage;
 use super::tiles::{Area, TileGrid};
 use super::workers::{Watch, Worker, tile_bytes};
-use super::paths;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::{BudgetError, RenderError};
 use crate::model::Model;
@@ -106,7 +106,8 @@ impl RegionRenderer<'_> {
     /// be brought in.
     pub fn render(&mut self, region: Region) -> Result<Option<&[[f32; 3]]>, RenderError> {
         let Region { x, y, width, height } = region;
-        let is_inside = |start: u32, length: u32, end| start.checked_add(length).is_some_and(|sum| sum <= end);
+        let is_inside =
+            |start: u32, length: u32, end| start.checked_add(length).is_some_and(|sum| sum <= end);
         let sides = 1..=self.side_max;
         if !(is_inside(x, width, self.width) && is_inside(y, height, self.height))
             || !(sides.contains(&width) && sides.contains(&height))

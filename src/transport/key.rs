@@ -62,7 +62,8 @@ impl SharedKey {
                 return Err(key_error(&name, reason));
             }
         }
-        SharedKey::from_hex(&text).map_err(|_| key_error(&name, "it must hold 64 hexadecimal digits".to_owned()))
+        SharedKey::from_hex(&text)
+            .map_err(|_| key_error(&name, "it must hold 64 hexadecimal digits".to_owned()))
     }
 
     /// Reads the key from the variable [`SharedKey::VARIABLE`]; `None` if it is not set.

@@ -3,8 +3,8 @@
 //! Nothing here waits. Time passes only when somebody asks for the next event, so a run of hours takes milliseconds and
 //! the same seed gives the same run.
 
-use std::collections::{BTreeMap, BinaryHeap, HashMap, HashSet, VecDeque};
 use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap, HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 

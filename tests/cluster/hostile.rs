@@ -2,8 +2,8 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -228,7 +228,10 @@ fn bad_members(key: &SharedKey, address: &str) -> u32 {
 #[test]
 fn a_render_does_not_notice_them() {
     let key = SharedKey::generate().unwrap();
-    let hub = tcp(&key, TcpOptions { handshake_time_max: Duration::from_millis(500), ..TcpOptions::loopback("hub") });
+    let hub = tcp(
+        &key,
+        TcpOptions { handshake_time_max: Duration::from_millis(500), ..TcpOptions::loopback("hub") },
+    );
     let address = hub.address().unwrap();
     let budget = MemoryBudget::new(Bytes::mib(64));
     let coordinator = Coordinator::new(job(), coordinator_options(1, 0), &budget).unwrap();

@@ -12,13 +12,13 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use outcrop::MemoryBudget;
 use outcrop::cluster::{Checkpoint, Coordinator, Reader, run_coordinator, run_reader, run_worker};
 use outcrop::compile::Control;
 use outcrop::source::DiskSource;
 use outcrop::source::testing::SlowSource;
 use outcrop::transport::{SharedKey, TcpOptions, TcpTransport, Transport};
 use outcrop::units::Bytes;
-use outcrop::MemoryBudget;
 
 use super::support::{coordinator_options, job, model_bytes, quick_roles, reference, worker_options};
 

@@ -111,7 +111,10 @@ impl SimWorker {
                     WorkerAction::Network(Action::Send { to, frame }) => {
                         if let Err(error) = self.transport.send(to, frame) {
                             let reason = error.to_string();
-                            events.push_back(WorkerEvent::Network(TransportEvent::Disconnected { peer: to, reason }));
+                            events.push_back(WorkerEvent::Network(TransportEvent::Disconnected {
+                                peer: to,
+                                reason,
+                            }));
                         }
                     }
                     WorkerAction::Network(Action::Disconnect { peer, .. }) => self.transport.disconnect(peer),
@@ -121,7 +124,10 @@ impl SimWorker {
                         events.push_back(WorkerEvent::Opened);
                     }
                     WorkerAction::Render { lane, region } => {
-                        assert!(self.rendering.iter().all(|(_, other, _)| *other != lane), "a lane does one thing");
+                        assert!(
+                            self.rendering.iter().all(|(_, other, _)| *other != lane),
+                            "a lane does one thing"
+                        );
                         let jitter = 0.5 + random.unit();
                         let time = self.slowness * jitter * region.pixels() as f64;
                         self.rendering.push((now + Duration::from_secs_f64(time), lane, region));
@@ -217,8 +223,9 @@ fn run(seed: u64) -> (Faults, Duration, u64) {
         restarts: 0,
     };
     coordinator.start(&network);
-    let mut workers: Vec<SimWorker> =
-        (0..1 + random.below(5) as usize).map(|i| SimWorker::new(&network, i, &mut random, Duration::ZERO)).collect();
+    let mut workers: Vec<SimWorker> = (0..1 + random.below(5) as usize)
+        .map(|i| SimWorker::new(&network, i, &mut random, Duration::ZERO))
+        .collect();
     let mut faults = Faults::default();
     // How eventful the run is, from none to a fault each 300 ms.
     let pause = [1e9, 3.0, 1.0, 0.3][random.below(4) as usize];

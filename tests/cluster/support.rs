@@ -22,7 +22,8 @@ pub fn model_bytes() -> &'static Arc<[u8]> {
         let path = folder.path().join("gears.outcrop");
         let options = CompileOptions { block_bytes: 8192, ..CompileOptions::default() };
         let mut go_on = |_| Control::Continue;
-        let mut compiler = Compiler::new(&path, options, &MemoryBudget::new(Bytes::mib(64)), &mut go_on).unwrap();
+        let mut compiler =
+            Compiler::new(&path, options, &MemoryBudget::new(Bytes::mib(64)), &mut go_on).unwrap();
         let gears = Gears::with_tessellation(1, Tessellation::new(16).unwrap()).unwrap();
         gears.emit(&mut compiler).unwrap();
         compiler.finish().unwrap();

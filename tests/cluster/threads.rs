@@ -7,8 +7,8 @@ use std::thread;
 use std::time::Duration;
 
 use outcrop::cluster::{
-    Coordinator, CoordinatorCounters, NodeError, Reader, ReaderCounters, RemoteCounters, WorkerReport, run_coordinator, run_reader,
-    run_worker,
+    Coordinator, CoordinatorCounters, NodeError, Reader, ReaderCounters, RemoteCounters, WorkerReport,
+    run_coordinator, run_reader, run_worker,
 };
 use outcrop::compile::Control;
 use outcrop::source::testing::{FaultRates, FaultySource};

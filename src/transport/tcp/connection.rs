@@ -153,7 +153,8 @@ impl Connection {
                     return format!("in the middle of a frame: {reason}");
                 }
                 nonce += 1;
-                let (kind, data) = plain.split_first().map_or((u8::MAX, &[][..]), |(kind, data)| (*kind, data));
+                let (kind, data) =
+                    plain.split_first().map_or((u8::MAX, &[][..]), |(kind, data)| (*kind, data));
                 if frame.len() + data.len() > frame_bytes_max {
                     return format!("it sent a frame of more than {frame_bytes_max} bytes");
                 }

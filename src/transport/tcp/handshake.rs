@@ -105,7 +105,8 @@ pub(super) fn connect(
     line.write(&[&hello[..], &first].concat())?;
     let mut theirs = [0; GREETING_BYTES];
     line.read(&mut theirs).map_err(|error| format!("{error}; does it hold another key?"))?;
-    let (version, status) = parse_greeting(&theirs).ok_or("what answers there does not speak this protocol")?;
+    let (version, status) =
+        parse_greeting(&theirs).ok_or("what answers there does not speak this protocol")?;
     if version != PROTOCOL_VERSION || status != WELCOME {
         return Err(format!("it speaks version {version}, this node version {PROTOCOL_VERSION}"));
     }

@@ -24,8 +24,8 @@ use crate::error::TransportError;
 use connection::Connection;
 use handshake::Session;
 
-pub(super) use handshake::random_bytes;
 pub use handshake::PROTOCOL_VERSION;
+pub(super) use handshake::random_bytes;
 
 /// What a caller can choose about a [`TcpTransport`].
 #[derive(Clone, Debug)]
@@ -184,7 +184,13 @@ impl Shared {
     }
 
     /// Starts the threads of a connection.
-    fn connected(self: &Arc<Shared>, peer: PeerId, stream: TcpStream, session: Session, name: Option<String>) {
+    fn connected(
+        self: &Arc<Shared>,
+        peer: PeerId,
+        stream: TcpStream,
+        session: Session,
+        name: Option<String>,
+    ) {
         let session = Arc::new(session);
         let connection = Arc::new(Connection::new(stream, self.options.queue_bytes_max));
         {
@@ -202,9 +208,10 @@ impl Shared {
         let shared = Arc::clone(self);
         self.spawn(move || {
             let options = &shared.options;
-            let reason = connection.read(&session, options.frame_bytes_max, options.frame_time_max, |frame| {
-                shared.mailbox.put_frame(peer, frame)
-            });
+            let reason =
+                connection.read(&session, options.frame_bytes_max, options.frame_time_max, |frame| {
+                    shared.mailbox.put_frame(peer, frame)
+                });
             connection.unread();
             shared.connections.lock().remove(&peer);
             shared.mailbox.end(peer, reason);
@@ -222,8 +229,7 @@ impl Transport for TcpTransport {
         if shared.stop.load(Ordering::Relaxed) {
             return Err(TransportError::Closed);
         }
-        let failed =
-            |error: String| TransportError::Connect { address: address.to_owned(), reason: error };
+        let failed = |error: String| TransportError::Connect { address: address.to_owned(), reason: error };
         let deadline = Instant::now() + shared.options.handshake_time_max;
         let mut last = "the name has no address".to_owned();
         for candidate in address.to_socket_addrs().map_err(|error| failed(error.to_string()))? {
@@ -244,8 +250,8 @@ impl Transport for TcpTransport {
             shared.shaking.lock().insert(number, registered);
             let session = handshake::connect(&stream, &shared.key, &shared.options.name, deadline);
             shared.shaking.lock().remove(&number);
-            let session = session
-                .map_err(|reason| TransportError::Refused { address: address.to_owned(), reason })?;
+            let session =
+                session.map_err(|reason| TransportError::Refused { address: address.to_owned(), reason })?;
             shared.connected(PeerId(number), stream, session, None);
             return Ok(PeerId(number));
         }
