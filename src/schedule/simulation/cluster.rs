@@ -92,6 +92,8 @@ pub fn simulate(
         sequence: 0,
         now: 0,
         relays: (0..model.relays.map_or(0, |relays| relays.count)).map(|_| Relay::default()).collect(),
+        inbox: VecDeque::new(),
+        is_service_planned: false,
         outbox: Vec::new(),
         connection_free: [0; 2],
         coordinator_free: 0,
@@ -182,8 +184,8 @@ enum Event {
     Forward(usize),
     /// A message has arrived at the coordinator.
     Arrived(Vec<(u32, Bound)>),
-    /// The coordinator has worked through a message.
-    Handled(Vec<(u32, Bound)>),
+    /// The coordinator is through with a message and its answers.
+    Free,
     /// A message for some workers has arrived at their relay.
     Spread(Vec<(u32, Told)>),
     /// A message has arrived at a worker.
@@ -231,6 +233,9 @@ struct Cluster<'a> {
     sequence: u64,
     now: u64,
     relays: Vec<Relay>,
+    /// What has arrived at the coordinator and waits.
+    inbox: VecDeque<Vec<(u32, Bound)>>,
+    is_service_planned: bool,
     /// What the coordinator has to say and has not sent.
     outbox: Vec<(u32, Told)>,
     /// When the coordinator's connection is free, in and out.
@@ -323,13 +328,12 @@ impl Cluster<'_> {
                 self.to_coordinator(self.relays[relay].free, bytes, gathered);
             }
             Event::Arrived(messages) => {
-                let done = self.work(1, messages.len());
-                self.at(done, Event::Handled(messages));
+                self.inbox.push_back(messages);
+                self.serve()?;
             }
-            Event::Handled(messages) => {
-                for (worker, message) in messages {
-                    self.handle(worker, message)?;
-                }
+            Event::Free => {
+                self.is_service_planned = false;
+                self.serve()?;
             }
             Event::Spread(messages) => {
                 let latency = nanos(self.model.latency_seconds);
@@ -356,6 +360,30 @@ impl Cluster<'_> {
         self.send_all();
         self.plan_tick();
         Ok(())
+    }
+
+    /// The coordinator takes the next message, if it is free: it works through it, then sends what there is to be said.
+    fn serve(&mut self) -> Result<(), ScheduleError> {
+        if self.coordinator_free > self.now {
+            self.plan_service();
+            return Ok(());
+        }
+        let Some(messages) = self.inbox.pop_front() else { return Ok(()) };
+        self.work(1, messages.len());
+        for (worker, message) in messages {
+            self.handle(worker, message)?;
+        }
+        self.send_all();
+        self.plan_service();
+        Ok(())
+    }
+
+    /// If something waits, it is taken up when the coordinator is free.
+    fn plan_service(&mut self) {
+        if !self.inbox.is_empty() && !self.is_service_planned {
+            self.is_service_planned = true;
+            self.at(self.coordinator_free, Event::Free);
+        }
     }
 
     /// When the coordinator is through with so many messages that say so many things.
