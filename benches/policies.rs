@@ -8,31 +8,23 @@
 
 #[path = "support/paths.rs"]
 mod paths;
+#[path = "support/scenes.rs"]
+mod scenes;
 
 use std::error::Error;
 use std::fs::File;
 use std::io::BufWriter;
-use std::sync::Arc;
 
+use outcrop::LazyOctree;
 use outcrop::access::{AccessTrace, MissRatioCurve, optimum_loads, replay};
 use outcrop::cache::Policy;
-use outcrop::compile::{CompileOptions, Compiler, Control};
-use outcrop::octree::OctreeOptions;
-use outcrop::procedural::{Gears, Shape, TorusField};
-use outcrop::source::DiskSource;
-use outcrop::units::Bytes;
-use outcrop::{LazyOctree, MemoryBudget};
 use paths::Paths;
+use scenes::Scene;
 
 /// Cache sizes, as parts of all blocks.
 const PERCENT: [u32; 5] = [3, 6, 10, 25, 50];
 /// Pixels are taken tile by tile.
 const TILE: u32 = 64;
-struct Scene {
-    name: &'static str,
-    shape: Box<dyn Shape>,
-    paths: Paths,
-}
 
 fn main() -> Result<(), Box<dyn Error>> {
     let (mut n, mut size) = (3, 256);
@@ -48,18 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             _ => return Ok(()),
         }
     }
-    // About as many triangles as the gears.
-    let tori = TorusField::new(4, 40 * n, 5 * n.pow(2), 1)?;
-    let scenes = [
-        Scene {
-            name: "gears, opaque, three bounces",
-            shape: Box::new(Gears::new(n)?),
-            paths: Paths::Diffuse(3),
-        },
-        Scene { name: "gears, glass to depth 12", shape: Box::new(Gears::new(n)?), paths: Paths::Glass(12) },
-        Scene { name: "tori, opaque, three bounces", shape: Box::new(tori), paths: Paths::Diffuse(3) },
-    ];
-    for scene in &scenes {
+    for scene in &Scene::three(n)? {
         let trace = record(scene, size)?;
         println!("\n{}: {} triangles, {size} x {size} pixels", scene.name, scene.shape.triangle_count());
         table(&trace);
@@ -111,14 +92,7 @@ fn table(trace: &AccessTrace) {
 /// Compiles the scene, traces it and reads the trace back.
 fn record(scene: &Scene, size: u32) -> Result<AccessTrace, Box<dyn Error>> {
     let directory = tempfile::tempdir()?;
-    let compiled = directory.path().join("scene.outcrop");
-    let budget = MemoryBudget::new(Bytes::mib(2048));
-    let mut progress = |_| Control::Continue;
-    let mut compiler = Compiler::new(&compiled, CompileOptions::default(), &budget, &mut progress)?;
-    scene.shape.emit(&mut compiler)?;
-    compiler.finish()?;
-    let mut octree =
-        LazyOctree::open(Arc::new(DiskSource::open(&compiled)?), &budget, OctreeOptions::default())?;
+    let mut octree = scene.open(directory.path())?;
     let accesses = directory.path().join("scene.accesses");
     let recorder = octree.record_accesses(Box::new(BufWriter::new(File::create(&accesses)?)))?;
     let hits = trace_all(&octree, scene.paths, size)?;

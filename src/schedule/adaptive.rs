@@ -43,7 +43,7 @@ const RETRY: Nanos = 20_000_000;
 const RETRY_COUNT: u32 = 8;
 
 /// So many leases are looked at for one to take over, from either end of their order.
-const LOOKED_AT: usize = 6;
+const LOOKED_AT: usize = 16;
 
 impl AdaptiveScheduler {
     /// A scheduler for an image of `width` by `height` pixels of which nothing is done.
@@ -176,7 +176,7 @@ impl AdaptiveScheduler {
             ends.filter(|(_, lease)| lease.slot != slot)
         };
         let cuts = others().filter_map(|(id, lease)| {
-            let (cells, gain) = estimates.cut(slot, lease, self.now)?;
+            let (cells, gain) = estimates.cut(slot, id, lease, self.now)?;
             Some((gain, id, cells))
         });
         if let Some((_, id, cells)) = cuts.max_by_key(|(gain, id, _)| (*gain, *id)) {
@@ -195,7 +195,7 @@ impl AdaptiveScheduler {
         let patience = nanos(self.options.take_over_min);
         let is_late = |lease: &Lease| {
             let lasts = lease.lasts.unwrap_or(RETRY).max(patience);
-            self.now > lease.start.saturating_add(lasts.saturating_mul(2))
+            self.now > lease.start.saturating_add(lasts.saturating_mul(3))
         };
         let (id, cells) = others()
             .find(|(_, lease)| !lease.is_raced && is_late(lease))

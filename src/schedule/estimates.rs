@@ -8,7 +8,7 @@ use super::grid::TileCells;
 use super::ledger::{Lease, Ledger, Nanos};
 use super::options::SchedulerOptions;
 use super::policy::first_cells;
-use crate::units::TileId;
+use crate::units::{LeaseId, TileId};
 
 /// Estimates from what was done so far. Before the first result every cell counts one unit of work.
 pub(super) struct Estimates<'a> {
@@ -87,18 +87,32 @@ impl Estimates<'_> {
         Duration::from_nanos(nanos_of_seconds((self.work_left() / self.total_speed()).max(cell)))
     }
 
+    /// When a lease's holder begins, or began, with it. One that stands behind another lease of its holder does not begin before that is
+    /// through; and if that should be through already, it takes half as long again as it has.
+    fn begins(&self, id: LeaseId, lease: &Lease, now: Nanos) -> Nanos {
+        let first = self.crew.get(lease.slot).and_then(|worker| worker.leases.first().copied());
+        match first.filter(|first| *first != id).and_then(|first| self.ledger.lease(first)) {
+            None => lease.start,
+            Some(first) if first.finish() > now => lease.start.max(first.finish()),
+            Some(first) => now.saturating_add(now.saturating_sub(first.start) / 2).max(now + 1),
+        }
+    }
+
     /// The back of a lease, such that its holder and the worker `slot` end at the same time, and how long the worker will have to do with it.
     /// None if that is not worth while.
-    pub fn cut(&self, slot: u32, lease: &Lease, now: Nanos) -> Option<(TileCells, Nanos)> {
+    pub fn cut(&self, slot: u32, id: LeaseId, lease: &Lease, now: Nanos) -> Option<(TileCells, Nanos)> {
+        if lease.is_raced {
+            return None;
+        }
         let count = f64::from(lease.cells.count());
         let [holder, own] = [lease.slot, slot].map(|slot| self.speed(slot));
-        let spent = now.saturating_sub(lease.start) as f64;
+        let start = self.begins(id, lease, now);
+        let spent = now.saturating_sub(start) as f64;
         let (keep, own_cell) = match lease.lasts {
-            _ if lease.is_raced => return None,
-            Some(lasts) if lease.finish() > now => {
+            Some(lasts) if start.saturating_add(lasts) > now => {
                 let cell = (lasts as f64 / count).max(1.0);
                 let own_cell = cell * holder / own;
-                let wait = lease.start.saturating_sub(now) as f64;
+                let wait = start.saturating_sub(now) as f64;
                 // wait + keep * cell - spent = (count - keep) * own_cell
                 let equal = ((count * own_cell + spent - wait) / (cell + own_cell)).ceil();
                 // The cell that the holder is at stays with it.

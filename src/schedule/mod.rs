@@ -2,7 +2,12 @@
 //!
 //! A [`TileScheduler`] is a pure state machine: no threads, no clock (time is an argument, counted from any start), no
 //! sockets, no chance. A coordinator tells it who joined, who asks, what was finished and who is gone, and sends on what it
-//! answers. [`AdaptiveScheduler`] is the one that this library has; [`SchedulerOptions`] select how it works.
+//! answers. [`AdaptiveScheduler`] is the one that this library has; [`SchedulerOptions`] select how it works, from tiles in rows over the
+//! policies of "Rendering complex scenes on clusters with limited precomputation" (Cadet, Zambal, Lecussan 2004) to the default.
+//! [`simulation`] runs it over measured costs and a model of machines, network, disks and caches.
+//!
+//! The image is cut into tiles and tiles into cells ([`ImageGrid`]). What is handed out, returned and remembered is a set of cells of one
+//! tile ([`TileCells`]), so a partial tile is nothing special, and a result says itself what it is good for.
 //!
 //! What it keeps, whatever the order of results, losses, joins and late answers:
 //!

@@ -25,6 +25,9 @@ impl Piece {
     }
 }
 
+/// A piece is nearly as large as another if it has this part of its work.
+const NEARLY: f64 = 0.7;
+
 /// Pieces of the curve, one for each worker; pieces that nobody has; and cells that came back.
 ///
 /// A worker goes along its piece from its start to its end. Who is through takes over a whole piece that nobody has, or the back
@@ -126,13 +129,24 @@ impl CurvePolicy {
             self.unused.push(orphan);
             return true;
         }
-        let Some(&(_, from)) = self.owned.last() else { return false };
+        let Some(from) = self.large_and_near(own) else { return false };
         let piece = self.pieces[from as usize];
         let middle = piece.next + (piece.end - piece.next) / 2;
         self.pieces[own as usize] = Piece { next: middle, end: piece.end, rank: 0 };
         self.pieces[from as usize].end = middle;
         self.rank(from, view);
         true
+    }
+
+    /// Of the pieces that are nearly as large as the largest, the one nearest to where the worker was: it holds blocks of its neighbourhood.
+    fn large_and_near(&self, own: u32) -> Option<u32> {
+        const LOOKED_AT: usize = 32;
+        let own_end = self.pieces[own as usize].end;
+        let most = f64::from_bits(self.owned.last()?.0);
+        let large = self.owned.iter().rev().take(LOOKED_AT);
+        let large = large.take_while(|(rank, _)| f64::from_bits(*rank) >= NEARLY * most);
+        let away = |piece: u32| self.pieces[piece as usize].next.abs_diff(own_end);
+        large.map(|(_, piece)| *piece).min_by_key(|piece| (away(*piece), *piece))
     }
 
     /// The tile with returned cells nearest to `to` along the curve.

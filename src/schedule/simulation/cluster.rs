@@ -6,68 +6,13 @@ use std::time::Duration;
 
 use super::cost_image::CostImage;
 use super::machine::{ClusterModel, Machine, sequential};
+use super::report::SimulationReport;
 use crate::error::ScheduleError;
 use crate::schedule::adaptive::AdaptiveScheduler;
 use crate::schedule::grid::TileCells;
 use crate::schedule::options::SchedulerOptions;
-use crate::schedule::scheduler::{
-    Answer, Assignment, Notice, ScheduleProgress, Spent, TileResult, TileScheduler,
-};
+use crate::schedule::scheduler::{Answer, Assignment, Notice, Spent, TileResult, TileScheduler};
 use crate::units::{Bytes, LeaseId, WorkerId};
-
-/// What a simulated render came to.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SimulationReport {
-    /// Workers at the start.
-    pub workers: u32,
-    /// From the start to the last pixel's arrival.
-    pub seconds: f64,
-    /// What one machine of speed 1 takes alone, loads included.
-    pub sequential_seconds: f64,
-    /// Sum of the workers' speeds.
-    pub speed: f64,
-    /// The least time possible: the sequential time over all workers' speeds, or the longest cell on the fastest one.
-    pub bound_seconds: f64,
-    /// Time of all workers on cells that counted.
-    pub render_seconds: f64,
-    /// Time of all workers on loads.
-    pub load_seconds: f64,
-    /// Time of all workers on cells that others had done, or that were not returned before the end.
-    pub wasted_seconds: f64,
-    /// Time of all workers until their first cell.
-    pub idle_at_start_seconds: f64,
-    /// Time of all workers from their last cell to the end.
-    pub idle_at_end_seconds: f64,
-    /// Blocks loaded by all workers.
-    pub loads: u64,
-    /// Blocks loaded by one machine alone.
-    pub sequential_loads: u64,
-    /// Messages to and from the coordinator.
-    pub messages: u64,
-    /// Bytes of them.
-    pub bytes: Bytes,
-    /// Part of the time that the coordinator was busy with messages.
-    pub coordinator_load: f64,
-    /// The scheduler's own account.
-    pub schedule: ScheduleProgress,
-}
-
-impl SimulationReport {
-    /// Sequential time over workers' speeds times parallel time; at most about 1, above only where many caches hold what one does not.
-    pub fn efficiency(&self) -> f64 {
-        self.sequential_seconds / (self.speed * self.seconds)
-    }
-
-    /// Part of the bound that was reached: at most about 1.
-    pub fn of_bound(&self) -> f64 {
-        self.bound_seconds / self.seconds
-    }
-
-    /// Loads of the cluster over loads of one machine.
-    pub fn loads_ratio(&self) -> f64 {
-        self.loads as f64 / self.sequential_loads.max(1) as f64
-    }
-}
 
 /// Renders the image of `costs` on `workers` simulated machines, scheduled by a real [`AdaptiveScheduler`] with
 /// `options`. Tile and cell sides are those of the costs. Exactly repeatable.
@@ -92,6 +37,8 @@ pub fn simulate(
         sequence: 0,
         now: 0,
         relays: (0..model.relays.map_or(0, |relays| relays.count)).map(|_| Relay::default()).collect(),
+        inbox: VecDeque::new(),
+        is_service_planned: false,
         outbox: Vec::new(),
         connection_free: [0; 2],
         coordinator_free: 0,
@@ -182,8 +129,8 @@ enum Event {
     Forward(usize),
     /// A message has arrived at the coordinator.
     Arrived(Vec<(u32, Bound)>),
-    /// The coordinator has worked through a message.
-    Handled(Vec<(u32, Bound)>),
+    /// The coordinator is through with a message and its answers.
+    Free,
     /// A message for some workers has arrived at their relay.
     Spread(Vec<(u32, Told)>),
     /// A message has arrived at a worker.
@@ -231,6 +178,9 @@ struct Cluster<'a> {
     sequence: u64,
     now: u64,
     relays: Vec<Relay>,
+    /// What has arrived at the coordinator and waits.
+    inbox: VecDeque<Vec<(u32, Bound)>>,
+    is_service_planned: bool,
     /// What the coordinator has to say and has not sent.
     outbox: Vec<(u32, Told)>,
     /// When the coordinator's connection is free, in and out.
@@ -323,13 +273,12 @@ impl Cluster<'_> {
                 self.to_coordinator(self.relays[relay].free, bytes, gathered);
             }
             Event::Arrived(messages) => {
-                let done = self.work(1, messages.len());
-                self.at(done, Event::Handled(messages));
+                self.inbox.push_back(messages);
+                self.serve()?;
             }
-            Event::Handled(messages) => {
-                for (worker, message) in messages {
-                    self.handle(worker, message)?;
-                }
+            Event::Free => {
+                self.is_service_planned = false;
+                self.serve()?;
             }
             Event::Spread(messages) => {
                 let latency = nanos(self.model.latency_seconds);
@@ -356,6 +305,30 @@ impl Cluster<'_> {
         self.send_all();
         self.plan_tick();
         Ok(())
+    }
+
+    /// The coordinator takes the next message, if it is free: it works through it, then sends what there is to be said.
+    fn serve(&mut self) -> Result<(), ScheduleError> {
+        if self.coordinator_free > self.now {
+            self.plan_service();
+            return Ok(());
+        }
+        let Some(messages) = self.inbox.pop_front() else { return Ok(()) };
+        self.work(1, messages.len());
+        for (worker, message) in messages {
+            self.handle(worker, message)?;
+        }
+        self.send_all();
+        self.plan_service();
+        Ok(())
+    }
+
+    /// If something waits, it is taken up when the coordinator is free.
+    fn plan_service(&mut self) {
+        if !self.inbox.is_empty() && !self.is_service_planned {
+            self.is_service_planned = true;
+            self.at(self.coordinator_free, Event::Free);
+        }
     }
 
     /// When the coordinator is through with so many messages that say so many things.

@@ -1,43 +1,33 @@
 //! What each cell of an image costs, and which blocks it needs.
 
-use crate::schedule::grid::ImageGrid;
+use crate::error::ScheduleError;
+use crate::schedule::grid::{ImageGrid, Region, TileCells};
 use crate::stats::TraceCounters;
 use crate::units::TileId;
 
 /// Seconds for the work that counters stand for, on one machine.
 ///
-/// The defaults are a least-squares fit to the CPU times of cells of three scenes at 2.5 GHz (`docs/results/cluster-simulation.md`). What matters to a
+/// The defaults are a least-squares fit to the CPU times of parts of two scenes at 2.5 GHz, one ray at a time; parts differ from them by 17 % (root mean square;
+/// `docs/results/cluster-simulation.md`). Triangle tests go with box tests so closely that the fit cannot tell them apart. What matters to a
 /// scheduler is how costs compare, not how large they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CostModel {
-    /// For each ray, its shading included.
+    /// For each ray.
     pub ray_seconds: f64,
-    /// For each box test.
+    /// For each box test, with the triangle tests that follow from it.
     pub box_test_seconds: f64,
-    /// For each triangle test.
-    pub triangle_test_seconds: f64,
-    /// For each block that a ray enters.
-    pub block_visit_seconds: f64,
 }
 
 impl Default for CostModel {
     fn default() -> CostModel {
-        CostModel {
-            ray_seconds: 250e-9,
-            box_test_seconds: 12e-9,
-            triangle_test_seconds: 3e-9,
-            block_visit_seconds: 60e-9,
-        }
+        CostModel { ray_seconds: 150e-9, box_test_seconds: 50e-9 }
     }
 }
 
 impl CostModel {
     /// Seconds for work on blocks that are in memory.
     pub fn seconds(&self, counters: &TraceCounters) -> f64 {
-        counters.rays as f64 * self.ray_seconds
-            + counters.box_tests as f64 * self.box_test_seconds
-            + counters.triangle_tests as f64 * self.triangle_test_seconds
-            + counters.block_visits as f64 * self.block_visit_seconds
+        counters.rays as f64 * self.ray_seconds + counters.box_tests as f64 * self.box_test_seconds
     }
 }
 
@@ -129,6 +119,45 @@ impl CostImage {
         self
     }
 
+    /// The same image in tiles and cells of other sides; a cell becomes the sum of those that it holds.
+    ///
+    /// # Errors
+    /// [`ScheduleError::Option`] if the sides make no grid, or a cell does not hold whole cells of this image.
+    pub fn in_tiles(&self, tile_side: u32, cell_side: u32) -> Result<CostImage, ScheduleError> {
+        let old_side = self.grid.cell_side();
+        if !cell_side.is_multiple_of(old_side) {
+            let reason = "the new cells must hold whole old ones";
+            return Err(ScheduleError::Option { what: "cell side", reason });
+        }
+        let grid = ImageGrid::new(self.grid.width(), self.grid.height(), tile_side, cell_side)?;
+        // The old cells by their places.
+        let across = grid.width().div_ceil(old_side) as usize;
+        let mut places = vec![None; across * grid.height().div_ceil(old_side) as usize];
+        for (tile, cell, region) in cells(&self.grid) {
+            if let Some(region) = region {
+                places[(region.y / old_side) as usize * across + (region.x / old_side) as usize] =
+                    Some((tile, cell));
+            }
+        }
+        let mut image = CostImage::new(grid.clone(), self.blocks.clone());
+        for (_, _, region) in cells(&grid) {
+            let mut held = Vec::new();
+            if let Some(Region { x, y, width, height }) = region {
+                for row in y / old_side..(y + height).div_ceil(old_side) {
+                    let columns = x / old_side..(x + width).div_ceil(old_side);
+                    held.extend(columns.filter_map(|column| places[row as usize * across + column as usize]));
+                }
+            }
+            held.sort_unstable();
+            let seconds = held.iter().map(|(tile, cell)| self.seconds(*tile, *cell)).sum();
+            image.push(
+                seconds,
+                held.iter().flat_map(|(tile, cell)| self.accesses(*tile, *cell).iter().copied()),
+            );
+        }
+        Ok(image)
+    }
+
     /// The same costs over an image of other tiles or cells: `grid` has as many cells in each tile, and as many tiles.
     /// So an image that was measured at half the size stands for one of full size, each of its pixels for four.
     ///
@@ -138,4 +167,13 @@ impl CostImage {
             self.grid.cells_per_tile() == grid.cells_per_tile() && self.grid.sides() == grid.sides();
         matches.then_some(CostImage { grid, ..self })
     }
+}
+
+/// Every cell of every tile, in order, with its pixels if it exists.
+pub(super) fn cells(grid: &ImageGrid) -> impl Iterator<Item = (TileId, u32, Option<Region>)> {
+    let tiles = (0..grid.tile_count()).map(TileId);
+    tiles.flat_map(|tile| (0..grid.cells_per_tile()).map(move |cell| (tile, cell))).map(|(tile, cell)| {
+        let squares = grid.squares(TileCells { tile, cells: 1 << cell }, 1);
+        (tile, cell, squares.first().map(|(_, region)| *region))
+    })
 }

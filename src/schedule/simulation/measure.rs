@@ -157,8 +157,6 @@ fn since(before: &TraceCounters, after: &TraceCounters) -> TraceCounters {
     TraceCounters {
         rays: after.rays - before.rays,
         box_tests: after.box_tests - before.box_tests,
-        triangle_tests: after.triangle_tests - before.triangle_tests,
-        block_visits: after.block_visits - before.block_visits,
         ..TraceCounters::default()
     }
 }

@@ -9,11 +9,13 @@ mod cluster;
 mod cost_image;
 mod machine;
 mod measure;
+mod report;
 
-pub use cluster::{SimulationReport, simulate};
+pub use cluster::simulate;
 pub use cost_image::{BlockSize, CostImage, CostModel};
 pub use machine::{ClusterModel, Relays, SequentialRun, sequential};
 pub use measure::{AccessDetail, measure};
+pub use report::SimulationReport;
 
 #[cfg(test)]
 mod tests;

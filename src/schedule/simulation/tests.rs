@@ -1,9 +1,9 @@
 //! The simulation against what can be worked out by hand, and the scheduler's goals on a made-up image.
 
+use super::cost_image::cells;
 use super::*;
 use crate::error::ScheduleError;
-use crate::schedule::{CentralPoints, ImageGrid, SchedulerOptions, TileCells, TilePolicy};
-use crate::units::TileId;
+use crate::schedule::{CentralPoints, ImageGrid, SchedulerOptions, TilePolicy};
 
 /// A plain with a steep hill: the dearest cell costs 20 times what the cheapest does. A block lies under every square of 32 pixels.
 fn hill(side: u32, seconds_per_cell: f64) -> CostImage {
@@ -11,17 +11,14 @@ fn hill(side: u32, seconds_per_cell: f64) -> CostImage {
     let across = side.div_ceil(32);
     let block = BlockSize { stored_bytes: 20_000, triangles: 3000 };
     let mut image = CostImage::new(grid.clone(), vec![block; (across * across) as usize]);
-    for tile in (0..grid.tile_count()).map(TileId) {
-        for cell in 0..grid.cells_per_tile() {
-            let squares = grid.squares(TileCells { tile, cells: 1 << cell }, 1);
-            let Some((_, region)) = squares.first() else {
-                image.push(0.0, []);
-                continue;
-            };
-            let [x, y] = [region.x, region.y].map(|at| f64::from(at) / f64::from(side) - 0.7);
-            let height = 1.0 + 19.0 * (-(x * x + y * y) / 0.02).exp();
-            image.push(seconds_per_cell * height, [region.y / 32 * across + region.x / 32]);
-        }
+    for (_, _, region) in cells(&grid) {
+        let Some(region) = region else {
+            image.push(0.0, []);
+            continue;
+        };
+        let [x, y] = [region.x, region.y].map(|at| f64::from(at) / f64::from(side) - 0.7);
+        let height = 1.0 + 19.0 * (-(x * x + y * y) / 0.02).exp();
+        image.push(seconds_per_cell * height, [region.y / 32 * across + region.x / 32]);
     }
     image
 }
@@ -142,4 +139,24 @@ fn relays_gather_messages() {
     assert_eq!(tree.schedule.cells_done, tree.schedule.cells);
     assert!(tree.messages < flat.messages && tree.coordinator_load < flat.coordinator_load);
     assert!((tree.render_seconds - flat.render_seconds).abs() < 1e-4);
+}
+
+#[test]
+fn an_image_in_other_tiles_costs_the_same() {
+    // Tiles at the border hold fewer cells.
+    let costs = hill(200, 1e-3);
+    for (tile, cell) in [(64, 8), (32, 32), (64, 16), (16, 8), (8, 8)] {
+        let other = costs.in_tiles(tile, cell).unwrap();
+        assert!((other.total_seconds() - costs.total_seconds()).abs() < 1e-6);
+        let places = cells(other.grid()).filter(|(_, _, region)| region.is_some());
+        for (tile, cell, region) in places {
+            let block = region.unwrap().y / 32 * 7 + region.unwrap().x / 32;
+            let entered = other.accesses(tile, cell);
+            assert!(!entered.is_empty() && entered.iter().all(|entered| *entered == block));
+        }
+        let run = sequential(&ClusterModel::default(), &other);
+        assert_eq!((run.loads, run.blocks_touched), (49, 49));
+    }
+    assert_eq!(costs.in_tiles(64, 8).unwrap(), costs);
+    assert!(costs.in_tiles(12, 12).is_err() && costs.in_tiles(8, 4).is_err());
 }
