@@ -270,7 +270,7 @@ impl RemoteSource {
     }
 
     /// Asks the readers for a block, one after the other; whether one gave it.
-    fn from_readers(&self, block: BlockId, into: &mut Vec<u8>) -> bool {
+    fn ask_readers(&self, block: BlockId, into: &mut Vec<u8>) -> bool {
         let reader_count = self.state.lock().links.len();
         for (nth, place) in readers_of(block.0, reader_count).enumerate() {
             if let Some(bytes) = self.ask(place, block.0) {
@@ -497,7 +497,7 @@ impl BlockSource for RemoteSource {
         }
         let start = Instant::now();
         loop {
-            if self.from_readers(block, into) {
+            if self.ask_readers(block, into) {
                 return Ok(());
             }
             if let Some(fallback) = &self.fallback {

@@ -109,8 +109,10 @@ impl RegionRenderer<'_> {
         let is_inside =
             |start: u32, length: u32, end| start.checked_add(length).is_some_and(|sum| sum <= end);
         let sides = 1..=self.side_max;
-        if !(is_inside(x, width, self.width) && is_inside(y, height, self.height))
-            || !(sides.contains(&width) && sides.contains(&height))
+        if !(is_inside(x, width, self.width)
+            && is_inside(y, height, self.height)
+            && sides.contains(&width)
+            && sides.contains(&height))
         {
             return Err(RenderError::Setting {
                 what: "region",

@@ -220,11 +220,8 @@ impl World {
                 self.open.insert(*peer);
             }
             TransportEvent::Frame { peer, .. } if !self.open.contains(peer) => return true,
-            TransportEvent::Disconnected { peer, .. } => {
-                if !self.open.remove(peer) {
-                    return true;
-                }
-            }
+            // It ended from this side before.
+            TransportEvent::Disconnected { peer, .. } if !self.open.remove(peer) => return true,
             _ => {}
         }
         self.nodes[to].inbox.push_back(event);
