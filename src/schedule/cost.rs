@@ -1,5 +1,7 @@
 //! What cells will cost, from those that are done.
 
+use std::cell::Cell;
+
 use super::grid::{ImageGrid, TileCells};
 use crate::units::TileId;
 
@@ -14,6 +16,8 @@ pub(super) struct CostMap {
     sides: [u32; 2],
     /// Sums over squares of 1, 2, 4, ... tiles a side, row by row; the last is the whole image.
     levels: Vec<Level>,
+    /// The estimate that was made last, if nothing was recorded since: one decision asks for the same one several times.
+    last: Cell<Option<(TileId, f64)>>,
 }
 
 struct Level {
@@ -39,11 +43,12 @@ impl CostMap {
             }
             (columns, rows) = (columns.div_ceil(2), rows.div_ceil(2));
         }
-        CostMap { sides, levels }
+        CostMap { sides, levels, last: Cell::new(None) }
     }
 
     /// `cells` cost `work` together.
     pub fn record(&mut self, grid: &ImageGrid, cells: TileCells, work: f64) {
+        self.last.set(None);
         let [column, row] = grid.place(cells.tile);
         for (level, sums) in self.levels.iter_mut().enumerate() {
             let sum = &mut sums.sums[((row >> level) * sums.columns + (column >> level)) as usize];
@@ -60,10 +65,15 @@ impl CostMap {
 
     /// What a cell of `tile` will cost; none if nothing is done.
     pub fn estimate(&self, grid: &ImageGrid, tile: TileId) -> Option<f64> {
+        if let Some((_, known)) = self.last.get().filter(|(last, _)| *last == tile) {
+            return Some(known);
+        }
         let target = grid.place(tile);
         let mut weighted = Sum::default();
         self.gather(self.levels.len() - 1, [0, 0], target, &mut weighted);
-        (weighted.cells > 0.0).then(|| weighted.work / weighted.cells)
+        let estimate = (weighted.cells > 0.0).then(|| weighted.work / weighted.cells)?;
+        self.last.set(Some((tile, estimate)));
+        Some(estimate)
     }
 
     fn gather(&self, level: usize, [column, row]: [u32; 2], target: [u32; 2], into: &mut Sum) {

@@ -28,6 +28,9 @@ impl Piece {
 /// A piece is nearly as large as another if it has this part of its work.
 const NEARLY: f64 = 0.7;
 
+/// A piece of fewer tiles is short: it costs about the same everywhere.
+const SHORT_TILES: u64 = 8;
+
 /// Pieces of the curve, one for each worker; pieces that nobody has; and cells that came back.
 ///
 /// A worker goes along its piece from its start to its end. Who is through takes over a whole piece that nobody has, or the back
@@ -106,9 +109,11 @@ impl CurvePolicy {
         if piece.is_empty() {
             return 0.0;
         }
-        // The middle stands for the whole: pieces are short where it matters.
-        let middle = TileId(((piece.next + piece.end) / 2 / self.cells_per_tile) as u32);
-        (piece.end - piece.next) as f64 * view.costs.estimate(view.grid(), middle).unwrap_or(1.0)
+        // One tile stands for the whole: the middle, or, in a short piece, the start, which was just looked at.
+        let is_short = piece.end - piece.next < SHORT_TILES * self.cells_per_tile;
+        let at = if is_short { piece.next } else { piece.next + (piece.end - piece.next) / 2 };
+        let tile = TileId((at.saturating_sub(1) / self.cells_per_tile) as u32);
+        (piece.end - piece.next) as f64 * view.costs.estimate(view.grid(), tile).unwrap_or(1.0)
     }
 
     /// Puts a worker's piece where it belongs in the ranking.
