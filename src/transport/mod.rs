@@ -2,7 +2,7 @@
 //!
 //! A node opens one [`Transport`]; others [`connect`](Transport::connect) to its address. Everything that happens to it
 //! comes out of [`receive`](Transport::receive), one event at a time, so that a role can be a plain loop, and the same loop
-//! runs over threads ([`LocalNetwork`]), machines ([`TcpTransport`], feature `tcp`) and in simulated time
+//! runs over threads ([`LocalNetwork`]), machines (`TcpTransport`, feature `tcp`) and in simulated time
 //! ([`SimNetwork`]).
 
 #[cfg(feature = "tcp")]
