@@ -39,6 +39,7 @@ impl Mailbox {
     }
 
     /// Adds a frame; waits while too much of the same peer waits. False if nothing of the peer is taken any more.
+    #[cfg(feature = "tcp")]
     pub fn put_frame(&self, peer: PeerId, bytes: Vec<u8>) -> bool {
         let mut state = self.state.lock();
         loop {
@@ -97,6 +98,7 @@ impl Mailbox {
     }
 
     /// Notes a refusal, unless so many wait that nobody can be reading them.
+    #[cfg(feature = "tcp")]
     pub fn refuse(&self, from: String, reason: String) {
         const REFUSALS_MAX: usize = 256;
         let mut state = self.state.lock();
