@@ -6,46 +6,25 @@
 //! Small by default; `docs/results/policies.md` has the figures of large runs. Rays are recorded once per scene with one
 //! tracer, then replayed without geometry, so the figures are exact and the same on every machine.
 
+#[path = "support/paths.rs"]
+mod paths;
+#[path = "support/scenes.rs"]
+mod scenes;
+
 use std::error::Error;
 use std::fs::File;
 use std::io::BufWriter;
-use std::sync::Arc;
 
+use outcrop::LazyOctree;
 use outcrop::access::{AccessTrace, MissRatioCurve, optimum_loads, replay};
 use outcrop::cache::Policy;
-use outcrop::compile::{CompileOptions, Compiler, Control};
-use outcrop::geom::{Ray, offset_origin};
-use outcrop::octree::OctreeOptions;
-use outcrop::procedural::{Gears, Shape, TorusField};
-use outcrop::source::DiskSource;
-use outcrop::trace::{Hit, Occlusion, Tracer};
-use outcrop::units::{Bytes, MaterialId};
-use outcrop::{LazyOctree, MemoryBudget};
+use paths::Paths;
+use scenes::Scene;
 
 /// Cache sizes, as parts of all blocks.
 const PERCENT: [u32; 5] = [3, 6, 10, 25, 50];
 /// Pixels are taken tile by tile.
 const TILE: u32 = 64;
-/// The standard view and lights of the gears.
-const EYE: [f64; 3] = [-1.1, -2.1, 2.6];
-const LIGHTS: [[f64; 3]; 5] =
-    [[2.0, 4.0, 4.0], [-2.0, 4.0, 3.0], [2.0, -2.5, 2.5], [-1.0, -4.0, 2.0], [-1.111, -2.121, 2.626]];
-
-/// What happens at a hit, besides a shadow ray to each light.
-#[derive(Clone, Copy)]
-enum Paths {
-    /// So many bounces, distributed as the cosine.
-    Diffuse(u32),
-    /// Glass of index 1.5 but for the floor: refraction or, as often as Fresnel's equations say, reflection, to so many rays
-    /// in a row.
-    Glass(u32),
-}
-
-struct Scene {
-    name: &'static str,
-    shape: Box<dyn Shape>,
-    paths: Paths,
-}
 
 fn main() -> Result<(), Box<dyn Error>> {
     let (mut n, mut size) = (3, 256);
@@ -61,18 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             _ => return Ok(()),
         }
     }
-    // About as many triangles as the gears.
-    let tori = TorusField::new(4, 40 * n, 5 * n.pow(2), 1)?;
-    let scenes = [
-        Scene {
-            name: "gears, opaque, three bounces",
-            shape: Box::new(Gears::new(n)?),
-            paths: Paths::Diffuse(3),
-        },
-        Scene { name: "gears, glass to depth 12", shape: Box::new(Gears::new(n)?), paths: Paths::Glass(12) },
-        Scene { name: "tori, opaque, three bounces", shape: Box::new(tori), paths: Paths::Diffuse(3) },
-    ];
-    for scene in &scenes {
+    for scene in &Scene::three(n)? {
         let trace = record(scene, size)?;
         println!("\n{}: {} triangles, {size} x {size} pixels", scene.name, scene.shape.triangle_count());
         table(&trace);
@@ -124,14 +92,7 @@ fn table(trace: &AccessTrace) {
 /// Compiles the scene, traces it and reads the trace back.
 fn record(scene: &Scene, size: u32) -> Result<AccessTrace, Box<dyn Error>> {
     let directory = tempfile::tempdir()?;
-    let compiled = directory.path().join("scene.outcrop");
-    let budget = MemoryBudget::new(Bytes::mib(2048));
-    let mut progress = |_| Control::Continue;
-    let mut compiler = Compiler::new(&compiled, CompileOptions::default(), &budget, &mut progress)?;
-    scene.shape.emit(&mut compiler)?;
-    compiler.finish()?;
-    let mut octree =
-        LazyOctree::open(Arc::new(DiskSource::open(&compiled)?), &budget, OctreeOptions::default())?;
+    let mut octree = scene.open(directory.path())?;
     let accesses = directory.path().join("scene.accesses");
     let recorder = octree.record_accesses(Box::new(BufWriter::new(File::create(&accesses)?)))?;
     let hits = trace_all(&octree, scene.paths, size)?;
@@ -151,120 +112,9 @@ fn trace_all(octree: &LazyOctree, paths: Paths, size: u32) -> Result<u64, Box<dy
         let [left, top] = [tile % tiles * TILE, tile / tiles * TILE];
         for y in top..(top + TILE).min(size) {
             for x in left..(left + TILE).min(size) {
-                // A generator for each pixel: paths do not depend on their order.
-                let mut random = Random(u64::from(y * size + x));
-                hits += follow(&mut tracer, camera_ray([x, y], size), paths, &mut random)?;
+                hits += paths.trace(&mut tracer, [x, y], size)?;
             }
         }
     }
     Ok(hits)
-}
-
-/// One path; its hits.
-fn follow(
-    tracer: &mut Tracer<'_>,
-    mut ray: Ray,
-    paths: Paths,
-    random: &mut Random,
-) -> Result<u64, Box<dyn Error>> {
-    let rays = match paths {
-        Paths::Diffuse(bounces) => bounces + 1,
-        Paths::Glass(depth) => depth,
-    };
-    let mut occlusions = [Occlusion::Clear; LIGHTS.len()];
-    for depth in 0..rays {
-        let Some(hit) = tracer.closest_hit(&ray)? else { return Ok(depth.into()) };
-        let normal = unit(hit.normal());
-        // To the side from which the ray came.
-        let normal = normal.map(|x| -x * dot(normal, ray.direction).signum());
-        let from = |direction| offset_origin(hit.position(), hit.position_error(), normal, direction);
-        let shadows = LIGHTS.map(|light| {
-            let direction = sub(light, hit.position());
-            Ray { t_max: 1.0, ..Ray::new(from(direction), direction) }
-        });
-        tracer.occluded(&shadows, None, &mut occlusions)?;
-        let direction = match paths {
-            Paths::Glass(_) if hit.material != MaterialId(0) => {
-                through_glass(&hit, ray.direction, normal, random)
-            }
-            Paths::Glass(_) => return Ok(u64::from(depth) + 1),
-            Paths::Diffuse(_) => cosine(normal, random),
-        };
-        ray = Ray::new(from(direction), direction);
-    }
-    Ok(rays.into())
-}
-
-/// Refracted, or reflected as often as Fresnel's equations for unpolarised light say. `normal` is on the ray's side.
-fn through_glass(hit: &Hit, direction: [f64; 3], normal: [f64; 3], random: &mut Random) -> [f64; 3] {
-    let direction = unit(direction);
-    let enters = dot(hit.normal(), normal) > 0.0;
-    let eta = if enters { 1.0 / 1.5 } else { 1.5 };
-    let cos_in = -dot(direction, normal);
-    let sin_out_squared = eta * eta * (1.0 - cos_in * cos_in);
-    let reflected = [0, 1, 2].map(|k| direction[k] + 2.0 * cos_in * normal[k]);
-    if sin_out_squared >= 1.0 {
-        return reflected;
-    }
-    let cos_out = (1.0 - sin_out_squared).sqrt();
-    let (parallel, across) = (
-        (cos_in - eta * cos_out) / (cos_in + eta * cos_out),
-        (eta * cos_in - cos_out) / (eta * cos_in + cos_out),
-    );
-    if random.unit() < 0.5 * (parallel * parallel + across * across) {
-        return reflected;
-    }
-    [0, 1, 2].map(|k| eta * direction[k] + (eta * cos_in - cos_out) * normal[k])
-}
-
-/// A direction on the side of `normal`, distributed as the cosine: a point on the unit sphere that touches the surface.
-fn cosine(normal: [f64; 3], random: &mut Random) -> [f64; 3] {
-    loop {
-        let any = [(); 3].map(|()| 2.0 * random.unit() - 1.0);
-        let length = dot(any, any).sqrt();
-        if (1e-3..1.0).contains(&length) {
-            let direction = [0, 1, 2].map(|k| normal[k] + any[k] / length);
-            if dot(direction, direction) > 1e-6 {
-                return direction;
-            }
-        }
-    }
-}
-
-fn camera_ray([x, y]: [u32; 2], size: u32) -> Ray {
-    let forward = unit(EYE.map(|x| -x));
-    let right = unit(cross(forward, [0.0, 0.0, 1.0]));
-    let up = cross(right, forward);
-    let half = 22.5f64.to_radians().tan();
-    let place = |i: u32| half * (2.0 * (f64::from(i) + 0.5) / f64::from(size) - 1.0);
-    Ray::new(EYE, [0, 1, 2].map(|k| forward[k] + place(x) * right[k] - place(y) * up[k]))
-}
-
-/// SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ z >> 31) >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
-
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|k| a[k] - b[k])
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn unit(a: [f64; 3]) -> [f64; 3] {
-    a.map(|x| x / dot(a, a).sqrt())
 }

@@ -378,6 +378,103 @@ pub enum RenderError {
     Cancelled,
 }
 
+/// A frame could not be sent or received, or a connection not be made.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TransportError {
+    /// Nobody answers at an address, or the address cannot be used.
+    #[error("cannot connect to {address}: {reason}")]
+    Connect {
+        /// Where to.
+        address: String,
+        /// Why not.
+        reason: String,
+    },
+    /// This node cannot listen at an address.
+    #[error("cannot listen at {address}: {reason}")]
+    Listen {
+        /// Where.
+        address: String,
+        /// Why not.
+        reason: String,
+    },
+    /// The node at an address does not take this one, or is not what it should be.
+    #[error("{address} and this node cannot work together: {reason}")]
+    Refused {
+        /// Where.
+        address: String,
+        /// Why.
+        reason: String,
+    },
+    /// The key that nodes share cannot be read. The message does not hold the key.
+    #[error("{name}: {reason}")]
+    Key {
+        /// The file or variable.
+        name: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A frame is longer than the transport carries.
+    #[error("a frame of {bytes} bytes is longer than the transport carries ({limit})")]
+    FrameTooLong {
+        /// Its length.
+        bytes: usize,
+        /// The longest.
+        limit: usize,
+    },
+    /// There is no such connection any more.
+    #[error("connection {peer} has ended")]
+    NotConnected {
+        /// Its number.
+        peer: u64,
+    },
+    /// The peer does not take what is sent to it.
+    #[error("connection {peer} is not taking what was sent before")]
+    QueueFull {
+        /// Its number.
+        peer: u64,
+    },
+    /// The transport was closed.
+    #[error("the transport is closed")]
+    Closed,
+}
+
+/// A scheduler could not be made, or was told something that cannot be.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ScheduleError {
+    /// An option that makes no sense.
+    #[error("{what}: {reason}")]
+    Option {
+        /// Which option.
+        what: &'static str,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// Cells that the image does not have. Whoever sent them renders another image.
+    #[error("tile {tile} has no cells {cells:#018x}: the image has {tile_count} tiles")]
+    NoSuchCells {
+        /// The tile that was named.
+        tile: u32,
+        /// The set of cells that was named.
+        cells: u64,
+        /// How many tiles there are.
+        tile_count: u32,
+    },
+    /// A worker that did not join, or left.
+    #[error("worker {worker} is not part of this render; it has to join first")]
+    UnknownWorker {
+        /// The worker's number.
+        worker: u64,
+    },
+    /// A checkpoint that cannot be read, or that belongs to another image.
+    #[error("the scheduler's checkpoint is not usable at byte {offset}: {reason}")]
+    Checkpoint {
+        /// Where.
+        offset: u64,
+        /// What is wrong there.
+        reason: &'static str,
+    },
+}
+
 /// Any failure of the library.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -400,7 +497,13 @@ pub enum Error {
     /// See [`RenderError`].
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// See [`ScheduleError`].
+    #[error(transparent)]
+    Schedule(#[from] ScheduleError),
     /// See [`AccessTraceError`].
     #[error(transparent)]
     AccessTrace(#[from] AccessTraceError),
+    /// See [`TransportError`].
+    #[error(transparent)]
+    Transport(#[from] TransportError),
 }

@@ -28,6 +28,9 @@
 //! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
+//! 1. [`schedule`]: which worker renders which tile; no threads, no clock, no sockets
+//! 1. [`transport`]: frames between nodes
+//! 1. [`cluster`]: coordinator, workers, readers
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
@@ -35,6 +38,7 @@ pub mod access;
 pub mod block;
 pub mod budget;
 pub mod cache;
+pub mod cluster;
 pub mod compile;
 pub mod error;
 pub mod free_memory;
@@ -45,16 +49,20 @@ pub mod octree;
 pub mod procedural;
 pub mod render;
 pub mod scene;
+pub mod schedule;
 pub mod simd;
 pub mod source;
 pub mod stats;
 pub mod trace;
+pub mod transport;
 pub mod units;
 
 pub use budget::MemoryBudget;
 pub use cache::GeometryCache;
 pub use octree::LazyOctree;
+pub use schedule::TileScheduler;
 pub use source::BlockSource;
+pub use transport::Transport;
 
 /// The README's code compiles.
 #[cfg(doctest)]

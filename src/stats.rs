@@ -1,8 +1,10 @@
 //! Exact counters, kept per thread and summed at the end.
 
+use serde::{Deserialize, Serialize};
+
 /// What a run of queries did. All counts are exact; they depend on cache size and load order only where
 /// the field says so.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TraceCounters {
     /// Rays asked, closest hit and any hit together.
     pub rays: u64,

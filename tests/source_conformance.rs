@@ -1,15 +1,19 @@
 //! What every `BlockSource` has to do, run over all of them.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use outcrop::BlockSource;
 use outcrop::block::{BlockData, BlockLimits, Codec, DecodeScratch};
+use outcrop::cluster::{Reader, ReaderCounters, RemoteOptions, RemoteSource, RoleOptions, run_reader};
 use outcrop::error::{ModelError, SourceError};
 use outcrop::geom::Precision;
 use outcrop::source::testing::{FaultRates, FaultySource, SlowSource, memory_model};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
+use outcrop::transport::{LocalNetwork, SharedKey, TcpOptions, TcpTransport, Transport};
 use outcrop::units::BlockId;
+use outcrop::units::Bytes;
+use outcrop::{BlockSource, MemoryBudget};
 
 const LIMITS: BlockLimits = BlockLimits { block_bytes_max: 4096 };
 
@@ -135,6 +139,116 @@ fn wrappers_that_do_nothing() {
     assert_eq!(faulty.fault_count(), 0);
     conforms(&SlowSource::new(source(), Duration::ZERO, None), &file);
     conforms(&SlowSource::new(faulty, Duration::from_nanos(1), Some(1 << 40)), &file);
+}
+
+/// Runs `test` beside `readers` readers of `file`, with their addresses and a transport to reach them. Gives what the readers did.
+fn with_readers(
+    open: &(dyn Fn(&str) -> Arc<dyn Transport> + Sync),
+    file: &[u8],
+    readers: usize,
+    memory: Bytes,
+    test: impl FnOnce(Vec<String>, Arc<dyn Transport>),
+) -> Vec<ReaderCounters> {
+    let stop = AtomicBool::new(false);
+    let coordinator = open("coordinator");
+    let address = coordinator.address().unwrap();
+    std::thread::scope(|scope| {
+        let (transports, threads): (Vec<_>, Vec<_>) = (0..readers)
+            .map(|i| {
+                let transport = open(&format!("reader {i}"));
+                let budget = MemoryBudget::new(Bytes::mib(64));
+                let source = Arc::new(MemorySource::new(file.to_vec()).unwrap());
+                let own = transport.address().unwrap();
+                let reader =
+                    Reader::new(source, "reader", &own, memory, &budget, RoleOptions::default()).unwrap();
+                let (address, stop) = (&address, &stop);
+                let running = Arc::clone(&transport);
+                let thread = scope.spawn(move || {
+                    run_reader(&*running, reader, address, Duration::from_secs(60), stop, &mut |_| {})
+                        .unwrap()
+                });
+                (transport, thread)
+            })
+            .unzip();
+        test(transports.iter().map(|transport| transport.address().unwrap()).collect(), open("worker"));
+        stop.store(true, Ordering::Relaxed);
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    })
+}
+
+#[test]
+fn remote() {
+    let file = file();
+    let key = SharedKey::generate().unwrap();
+    let tcp = |name: &str| {
+        let transport = TcpTransport::open(key.clone(), TcpOptions::loopback(name)).unwrap();
+        Arc::new(transport) as Arc<dyn Transport>
+    };
+    let network = LocalNetwork::new();
+    let local = |name: &str| Arc::new(network.open(name)) as Arc<dyn Transport>;
+    let blocks = MemorySource::new(file.clone()).unwrap().model().blocks.len() as u64;
+    for open in [&tcp as &(dyn Fn(&str) -> Arc<dyn Transport> + Sync), &local] {
+        // With memory for everything, each block leaves the file once; without, it is read again and again.
+        for (readers, memory) in [(1, Bytes::mib(32)), (3, Bytes::mib(32)), (2, Bytes(0)), (1, Bytes(9000))] {
+            let counters = with_readers(open, &file, readers, memory, |addresses, transport| {
+                let source = RemoteSource::open(transport, addresses, RemoteOptions::default()).unwrap();
+                conforms(&source, &file);
+                let counters = source.counters();
+                assert_eq!((counters.from_other, counters.from_fallback, counters.damaged), (0, 0, 0));
+                // Asked for in advance, a few messages bring them all.
+                let all: Vec<BlockId> = (0..blocks as u32).map(BlockId).collect();
+                source.will_need(&all);
+                let (mut bytes, requests) = (Vec::new(), source.counters().requests);
+                for block in all {
+                    source.read_block(block, &mut bytes).unwrap();
+                    let entry = source.model().entry(block).unwrap();
+                    assert_eq!(bytes, file[entry.offset as usize..][..entry.stored_bytes as usize]);
+                }
+                assert_eq!(source.counters().requests, requests);
+                assert!(requests - counters.requests <= readers as u64 * (blocks.div_ceil(64)));
+            });
+            let from_disk: u64 = counters.iter().map(|reader| reader.blocks_from_disk).sum();
+            if memory == Bytes::mib(32) {
+                assert_eq!(from_disk, blocks);
+            } else {
+                assert!(from_disk > 2 * blocks);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_remote_source_falls_back() {
+    let file = file();
+    let network = LocalNetwork::new();
+    let local = |name: &str| Arc::new(network.open(name)) as Arc<dyn Transport>;
+    let (retry_after, patience) = (Duration::from_secs(3600), Duration::ZERO);
+    let options = RemoteOptions { retry_after, patience, ..RemoteOptions::default() };
+    let own = || Arc::new(MemorySource::new(file.clone()).unwrap());
+    // Nobody there at all.
+    let source = RemoteSource::beside(own(), local("a"), vec!["nobody".to_owned(), String::new()], options);
+    conforms(&source, &file);
+    let counters = source.counters();
+    assert_eq!((counters.from_owner, counters.from_other, counters.readers_lost), (0, 0, 1));
+    let gone = vec!["nobody".to_owned()];
+    assert!(matches!(RemoteSource::open(local("b"), gone, options), Err(SourceError::Io { .. })));
+    // One of two is gone: the other gives all.
+    with_readers(&local, &file, 1, Bytes::mib(1), |mut addresses, transport| {
+        addresses.push("nobody".to_owned());
+        let source = RemoteSource::open(transport, addresses, options).unwrap();
+        conforms(&source, &file);
+        let counters = source.counters();
+        assert!(counters.from_owner > 0 && counters.from_other > 0 && counters.from_fallback == 0);
+    });
+    // The only one goes in the middle, and the node does not have the file: an error that says so.
+    let mut left = None;
+    with_readers(&local, &file, 1, Bytes::mib(1), |addresses, transport| {
+        let source = RemoteSource::open(transport, addresses, options).unwrap();
+        source.read_block(BlockId(0), &mut Vec::new()).unwrap();
+        left = Some(source);
+    });
+    let error = left.unwrap().read_block(BlockId(1), &mut Vec::new()).unwrap_err();
+    assert!(error.to_string().contains("block 1 of the cluster's readers"), "{error}");
 }
 
 #[test]

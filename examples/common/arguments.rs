@@ -89,6 +89,14 @@ impl Arguments {
         }
     }
 
+    /// The value of the option that came last: `640x480`, or `512` for a square.
+    pub fn size(&mut self) -> Result<[u32; 2], Box<dyn Error>> {
+        let text = self.text()?;
+        let error = || format!("{} {text}: write it as 640x480, or 512 for a square", self.option);
+        let (width, height) = text.split_once('x').unwrap_or((&text, &text));
+        Ok([width.parse().map_err(|_| error())?, height.parse().map_err(|_| error())?])
+    }
+
     fn raw(&mut self) -> Result<OsString, Box<dyn Error>> {
         self.parser.value().map_err(|_| format!("{}: a value is missing", self.option).into())
     }

@@ -4,6 +4,7 @@
 #![allow(dead_code)]
 
 pub mod arguments;
+pub mod gears_view;
 pub mod interrupt;
 pub mod memory_log;
 mod plot;

@@ -47,6 +47,14 @@ impl Meter {
         }
     }
 
+    /// Tells something beside the bar.
+    pub fn note(&self, line: &str) {
+        match &self.bar {
+            Some(bar) => bar.println(line),
+            None => eprintln!("{line}"),
+        }
+    }
+
     /// Takes the bar away.
     pub fn finish(&mut self) {
         if let Some(bar) = &self.bar {

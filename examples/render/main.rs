@@ -14,6 +14,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use common::arguments::{self, Arguments};
+use common::gears_view;
 use common::interrupt::Interrupt;
 use common::memory_log::MemoryLog;
 use common::progress::Meter;
@@ -191,12 +192,12 @@ fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
     let camera = match options.orthographic {
         Some(height) => Camera::orthographic(eye, look_at, up, height)?,
         None if options.eye.is_none() && options.look_at.is_none() && options.fov.is_none() => framing,
-        None => Camera::pinhole(eye, look_at, up, options.fov.unwrap_or(45.0))?,
+        None => Camera::pinhole(eye, look_at, up, options.fov.unwrap_or(gears_view::FOV_DEGREES))?,
     };
     let scene = Scene::new(camera);
     if options.lights.is_empty() {
         return Ok(scene.with_automatic_lights());
     }
     let lights = options.lights.iter().map(|&(position, intensity)| Light::point(position, [intensity; 3]));
-    Ok(scene.with_lights(lights).with_background([0.45, 0.55, 0.68]).with_ambient([0.08; 3]))
+    Ok(scene.with_lights(lights).with_background(gears_view::BACKGROUND).with_ambient(gears_view::AMBIENT))
 }

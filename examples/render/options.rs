@@ -13,6 +13,7 @@ use outcrop::simd::SimdLevel;
 use outcrop::units::Bytes;
 
 use crate::common::arguments::{Argument, Arguments};
+use crate::common::gears_view;
 
 pub const HELP: &str = "\
 render: makes a picture of a model inside a memory budget
@@ -147,7 +148,7 @@ impl Options {
             match name.as_str() {
                 "-h" | "--help" => return Ok(Command::Help),
                 "-o" | "--output" => output = Some(arguments.path()?),
-                "--size" => size = Some(parse_size(&arguments.text()?)?),
+                "--size" => size = Some(arguments.size()?),
                 "--gears" => options.gears_n = Some(arguments.value()?),
                 "--spp" => options.samples_per_pixel = arguments.value()?,
                 "--eye" => options.eye = Some(arguments.numbers()?),
@@ -255,19 +256,11 @@ impl Options {
     /// What the gears are shown with where the command line leaves it open: their standard view.
     fn show_gears(&mut self) {
         (self.size, self.memory) = ([768, 768], Bytes::mib(64));
-        self.eye.get_or_insert([-1.1, -2.1, 2.6]);
-        self.look_at.get_or_insert([0.0; 3]);
-        self.up.get_or_insert([0.0, 0.0, 1.0]);
+        self.eye.get_or_insert(gears_view::EYE);
+        self.look_at.get_or_insert(gears_view::LOOK_AT);
+        self.up.get_or_insert(gears_view::UP);
         if self.lights.is_empty() {
-            self.lights = [
-                [2.0, 4.0, 4.0],
-                [-2.0, 4.0, 3.0],
-                [2.0, -2.5, 2.5],
-                [-1.0, -4.0, 2.0],
-                [-1.111, -2.121, 2.626],
-            ]
-            .map(|position| (position, 0.25))
-            .to_vec();
+            self.lights = gears_view::LAMPS.map(|position| (position, gears_view::INTENSITY)).to_vec();
         }
     }
 }
@@ -309,13 +302,6 @@ impl Default for Options {
             memory_log: None,
         }
     }
-}
-
-/// `640x480` or `512`.
-fn parse_size(text: &str) -> Result<[u32; 2], Box<dyn Error>> {
-    let error = || format!("--size {text}: write it as 640x480, or 512 for a square");
-    let (width, height) = text.split_once('x').unwrap_or((text, text));
-    Ok([width.parse().map_err(|_| error())?, height.parse().map_err(|_| error())?])
 }
 
 /// A position, and an intensity if there is a fourth number.

@@ -1,7 +1,9 @@
 //! What the effects of a picture cost in rays.
 
+use serde::{Deserialize, Serialize};
+
 /// Rays and samples by effect. Exact, and the same for any tile size, thread count and cache size.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EffectCounters {
     /// Samples taken.
     pub samples: u64,

@@ -42,10 +42,10 @@ impl RenderedImage {
 
 /// Renders pictures of one scene through one octree.
 pub struct Renderer<'a> {
-    octree: &'a LazyOctree,
-    stage: Stage,
+    pub(super) octree: &'a LazyOctree,
+    pub(super) stage: Stage,
     plan: EffectPlan,
-    budget: MemoryBudget,
+    pub(super) budget: MemoryBudget,
 }
 
 impl<'a> Renderer<'a> {

@@ -1,8 +1,10 @@
 //! Where in a pixel the samples lie: stratified for any count, a pure function of seed, pixel and sample (I2).
 
+use serde::{Deserialize, Serialize};
+
 /// How samples are spread around a pixel. Each sample belongs to one pixel: the filter acts through where samples
 /// fall, not by adding one sample to several pixels, so no work is repeated at tile borders.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Filter {
     /// Evenly over the pixel.
     Box,

@@ -1,5 +1,7 @@
 //! What a caller chooses about a picture beside the scene.
 
+use serde::{Deserialize, Serialize};
+
 use super::sampling::Filter;
 use super::tiles::TileGrid;
 use crate::error::RenderError;
@@ -7,7 +9,7 @@ use crate::scene::{EffectOptions, EffectSet};
 
 /// Size, quality and limits of a picture. The picture is a pure function of scene, model and the fields above
 /// `tile_size` (I2); `tile_size` and `batch_samples` trade memory for speed and do not show.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RenderSettings {
     /// Pixels across.
     pub width: u32,

@@ -55,7 +55,7 @@ impl TileGrid {
 }
 
 /// Position of a cell along the Hilbert curve through a square of `side` (a power of two) cells.
-fn hilbert_index(side: u32, mut x: u32, mut y: u32) -> u64 {
+pub(crate) fn hilbert_index(side: u32, mut x: u32, mut y: u32) -> u64 {
     let mut index = 0;
     let mut half = side / 2;
     while half > 0 {

@@ -13,7 +13,7 @@ use super::query::RayQuery;
 use super::report::WorkerSeconds;
 use super::sampling::pixel_offset;
 use super::stage::Stage;
-use super::tiles::morton_order;
+use super::tiles::{Area, morton_order};
 use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
 use crate::stats::TraceCounters;
@@ -106,25 +106,23 @@ impl Shared<'_> {
         let _stop_on_panic = StopOnPanic(&self.stop);
         let mut tile = TileId(0);
         let result = make_query().map_err(RenderError::from).and_then(|query| {
-            let mut worker = Worker {
-                shared: self,
-                paths: PathTracer::new(self.stage, query),
-                pixels: Vec::new(),
-                sums: Vec::new(),
-                finished: Vec::new(),
-            };
+            let mut worker = Worker::new(self, self.stage, query);
             let result = loop {
                 tile = TileId(self.next.fetch_add(1, Ordering::Relaxed));
                 let Some(cell) = self.order.get(tile.0 as usize) else { break Ok(()) };
-                match worker.render_tile(*cell) {
-                    Ok(true) => {}
+                match worker.render_area(self.stage.grid.area(*cell)) {
+                    Ok(true) => {
+                        self.film.lock().set_tile(&self.stage.grid, *cell, worker.finished());
+                        self.tiles.fetch_add(1, Ordering::Relaxed);
+                        self.report();
+                    }
                     Ok(false) => break Ok(()),
                     Err(error) => break Err(RenderError::from(error)),
                 }
             };
             let mut totals = self.totals.lock();
-            totals.effects.merge(&worker.paths.counters);
-            totals.trace.merge(&worker.paths.query.counters());
+            totals.effects.merge(&worker.effects());
+            totals.trace.merge(&worker.trace());
             totals.seconds.merge(&worker.paths.seconds);
             result
         });
@@ -159,9 +157,36 @@ fn samples_total(stage: &Stage) -> u64 {
     u64::from(settings.width) * u64::from(settings.height) * u64::from(settings.samples_per_pixel)
 }
 
+/// What a worker tells while it is inside a tile, and asks.
+pub(crate) trait Watch {
+    /// Whether the render is to end.
+    fn is_stopped(&self) -> bool;
+
+    /// So many samples more are done.
+    fn add_samples(&self, count: u64);
+
+    /// The tile goes on; a moment to tell others.
+    fn report(&self);
+}
+
+impl Watch for &Shared<'_> {
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    fn add_samples(&self, count: u64) {
+        self.samples.fetch_add(count, Ordering::Relaxed);
+    }
+
+    fn report(&self) {
+        Shared::report(self);
+    }
+}
+
 /// One thread's part.
-struct Worker<'s, 'a, Q> {
-    shared: &'s Shared<'a>,
+pub(crate) struct Worker<'s, W, Q> {
+    pub watch: W,
+    stage: &'s Stage,
     paths: PathTracer<'s, Q>,
     /// The tile's pixels in the order in which they are traced.
     pixels: Vec<[u16; 2]>,
@@ -171,12 +196,37 @@ struct Worker<'s, 'a, Q> {
     finished: Vec<[f32; 3]>,
 }
 
-impl<Q: RayQuery> Worker<'_, '_, Q> {
-    /// Renders one tile; false if the render was stopped before its end.
-    fn render_tile(&mut self, cell: u32) -> Result<bool, TraceError> {
-        let stage = self.shared.stage;
+impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
+    pub fn new(watch: W, stage: &'s Stage, query: Q) -> Worker<'s, W, Q> {
+        Worker {
+            watch,
+            stage,
+            paths: PathTracer::new(stage, query),
+            pixels: Vec::new(),
+            sums: Vec::new(),
+            finished: Vec::new(),
+        }
+    }
+
+    /// The pixels of the area that was rendered last, row by row.
+    pub fn finished(&self) -> &[[f32; 3]] {
+        &self.finished
+    }
+
+    /// Rays by effect so far.
+    pub fn effects(&self) -> EffectCounters {
+        self.paths.counters
+    }
+
+    /// Work of the queries so far.
+    pub fn trace(&self) -> TraceCounters {
+        self.paths.query.counters()
+    }
+
+    /// Renders an area of at most a tile's size; false if the render was stopped before its end.
+    pub fn render_area(&mut self, area: Area) -> Result<bool, TraceError> {
+        let stage = self.stage;
         let settings = &stage.settings;
-        let area = stage.grid.area(cell);
         morton_order(area.width, area.height, &mut self.pixels);
         self.sums.clear();
         self.sums.resize(self.pixels.len(), DVec3::ZERO);
@@ -184,7 +234,7 @@ impl<Q: RayQuery> Worker<'_, '_, Q> {
         let total = self.pixels.len() as u64 * per_pixel;
         let mut start = 0;
         while start < total {
-            if self.shared.stop.load(Ordering::Relaxed) {
+            if self.watch.is_stopped() {
                 return Ok(false);
             }
             let end = total.min(start + u64::from(settings.batch_samples));
@@ -203,10 +253,10 @@ impl<Q: RayQuery> Worker<'_, '_, Q> {
             for (index, radiance) in (start..end).zip(radiance) {
                 self.sums[(index / per_pixel) as usize] += *radiance;
             }
-            self.shared.samples.fetch_add(end - start, Ordering::Relaxed);
+            self.watch.add_samples(end - start);
             start = end;
             if start < total {
-                self.shared.report();
+                self.watch.report();
             }
         }
         self.finished.clear();
@@ -216,9 +266,6 @@ impl<Q: RayQuery> Worker<'_, '_, Q> {
             self.finished[usize::from(*y) * area.width as usize + usize::from(*x)] =
                 mean.to_array().map(|channel| channel as f32);
         }
-        self.shared.film.lock().set_tile(&stage.grid, cell, &self.finished);
-        self.shared.tiles.fetch_add(1, Ordering::Relaxed);
-        self.shared.report();
         Ok(true)
     }
 }

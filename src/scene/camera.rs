@@ -1,12 +1,13 @@
 //! Pinhole and orthographic cameras; image position to ray as a pure function.
 
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 use crate::error::RenderError;
 use crate::geom::{Aabb, Ray};
 
 /// How the camera maps space to the image plane.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Projection {
     /// All rays leave the eye.
     Pinhole {
@@ -21,7 +22,7 @@ pub enum Projection {
 }
 
 /// A camera, valid by construction. Pixels are square.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     eye: DVec3,
     /// Orthonormal: right, up, forward.

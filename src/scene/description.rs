@@ -1,11 +1,13 @@
 //! A scene: everything about a picture but its geometry and its size.
 
+use serde::{Deserialize, Serialize};
+
 use super::{Camera, Light};
 use crate::error::RenderError;
 use crate::geom::Aabb;
 
 /// Camera, lights and what is seen where nothing is hit. Materials come from the compiled model.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scene {
     camera: Camera,
     lights: Vec<Light>,

@@ -5,6 +5,8 @@
 
 use std::fmt::Write as _;
 
+use serde::{Deserialize, Serialize};
+
 use super::{Scene, Surface};
 use crate::model::{MaterialRecord, Model};
 
@@ -46,7 +48,7 @@ impl Effect {
 }
 
 /// A set of effects.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EffectSet(u8);
 
 impl EffectSet {

@@ -1,13 +1,14 @@
 //! Lights without extent.
 
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 use super::Camera;
 use crate::error::RenderError;
 use crate::geom::Ray;
 
 /// How a point light weakens with distance.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Falloff {
     /// Not at all, as in the Standard Procedural Databases and the 2004 paper: every surface that faces the light
     /// receives `intensity`, however far it is.
@@ -22,7 +23,7 @@ pub enum Falloff {
 
 /// A light without extent. Its colour is linear RGB irradiance at perpendicular incidence, in the convention of MTL
 /// files: a surface with diffuse reflectance `Kd` that faces the light shows `Kd` times that, without a factor pi.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Light {
     /// Shines from a point in all directions.
     Point {

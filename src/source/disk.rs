@@ -72,6 +72,22 @@ impl DiskSource {
         Ok(DiskSource { file, direct, page_cache, name, model })
     }
 
+    /// Length of the file now.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn file_bytes(&self) -> io::Result<u64> {
+        Ok(self.file.metadata()?.len())
+    }
+
+    /// Fills `into` with the file's bytes from `offset` on, unchecked, through the page cache: to hand the file on.
+    ///
+    /// # Errors
+    /// The operating system's; `UnexpectedEof` beyond the end.
+    pub fn read_range(&self, offset: u64, into: &mut [u8]) -> io::Result<()> {
+        read_exact_at(&self.file, offset, into)
+    }
+
     fn read(&self, offset: u64, length: usize, into: &mut Vec<u8>) -> io::Result<()> {
         if let Some(direct) = &self.direct {
             match direct::read(direct, offset, length, into) {

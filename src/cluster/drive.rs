@@ -1,0 +1,642 @@
+//! The roles in real time, over a real transport.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::checkpoint::Checkpoint;
+use super::coordinator::{Coordinator, CoordinatorError};
+use super::message::Job;
+use super::model_file::model_key;
+use super::reader::{Reader, ReaderCounters};
+use super::remote_source::{RemoteCounters, RemoteOptions, RemoteSource};
+use super::worker::{Worker, WorkerAction, WorkerCounters, WorkerEvent};
+use super::{Action, RoleOptions};
+use crate::budget::MemoryBudget;
+use crate::compile::Control;
+use crate::error::{RenderError, SourceError, TransportError};
+use crate::octree::{LazyOctree, OctreeOptions};
+use crate::render::{Region, RegionRenderer, Renderer};
+use crate::source::BlockSource;
+use crate::stats::TraceCounters;
+use crate::transport::{PeerId, Transport, TransportEvent};
+use crate::units::Bytes;
+
+/// How often a driver looks whether it is to stop.
+const LOOK: Duration = Duration::from_millis(50);
+/// How often a node tries to reach a coordinator that is gone.
+const RETRY: Duration = Duration::from_millis(500);
+/// How often the coordinator makes its checkpoint safe.
+const SAFE: Duration = Duration::from_secs(1);
+
+/// A node ended before its work was done.
+#[derive(Debug, thiserror::Error)]
+pub enum NodeError {
+    /// The transport failed.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// The coordinator could not be reached for as long as the node was to wait.
+    #[error("no coordinator at {address} for {} s: {reason}", waited.as_secs())]
+    NoCoordinator {
+        /// Where.
+        address: String,
+        /// How long.
+        waited: Duration,
+        /// What the last attempt said.
+        reason: String,
+    },
+    /// There was no worker for as long as the coordinator was to wait.
+    #[error("there has been no worker for {} s; the checkpoint, if there is one, holds what is done", waited.as_secs())]
+    NoWorkers {
+        /// How long.
+        waited: Duration,
+    },
+    /// This node cannot render the picture.
+    #[error("{reason}")]
+    CannotRender {
+        /// Why.
+        reason: String,
+    },
+    /// The coordinator's own.
+    #[error(transparent)]
+    Coordinator(#[from] CoordinatorError),
+}
+
+/// Sends a frame; what the role has to know if it cannot be sent.
+fn send(transport: &dyn Transport, to: PeerId, frame: Vec<u8>) -> Option<TransportEvent> {
+    match transport.send(to, frame) {
+        // Its end is on its way to the role already.
+        Ok(()) | Err(TransportError::NotConnected { .. } | TransportError::Closed) => None,
+        Err(error) => {
+            transport.disconnect(to);
+            Some(TransportEvent::Disconnected { peer: to, reason: error.to_string() })
+        }
+    }
+}
+
+/// Runs a coordinator until its picture is done or `observe`, which is called every now and then, cancels. `observe` also gets what
+/// there is to log. Gives the coordinator with its picture, whole or not.
+///
+/// # Errors
+/// [`NodeError::NoWorkers`] after `patience` without any; [`NodeError::Coordinator`] if the checkpoint cannot be written.
+pub fn run_coordinator(
+    transport: &dyn Transport,
+    mut coordinator: Coordinator,
+    mut checkpoint: Option<Checkpoint>,
+    patience: Duration,
+    observe: &mut dyn FnMut(&Coordinator, &[String]) -> Control,
+) -> Result<Coordinator, NodeError> {
+    let start = Instant::now();
+    let mut actions = Vec::new();
+    let mut log = Vec::new();
+    let mut records = Vec::new();
+    let (mut last_safe, mut last_look, mut last_worker) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
+    loop {
+        let now = start.elapsed();
+        if now >= coordinator.next_tick() {
+            coordinator.tick(now, &mut actions);
+        }
+        let mut is_over = coordinator.is_finished();
+        if now >= last_look + LOOK || is_over {
+            last_look = now;
+            if observe(&coordinator, &log) == Control::Cancel && !is_over {
+                is_over = true;
+                coordinator.end(&mut actions);
+            }
+            log.clear();
+        }
+        perform(transport, &mut coordinator, now, &mut actions, &mut log);
+        records.append(&mut coordinator.take_records());
+        if let Some(checkpoint) = &mut checkpoint
+            && (now >= last_safe + SAFE || is_over)
+        {
+            last_safe = now;
+            checkpoint.append(&records)?;
+            records.clear();
+        } else if checkpoint.is_none() {
+            records.clear();
+        }
+        if is_over {
+            return Ok(coordinator);
+        }
+        if coordinator.members().0 > 0 {
+            last_worker = now;
+        } else if now.saturating_sub(last_worker) >= patience {
+            if let Some(checkpoint) = &mut checkpoint {
+                checkpoint.append(&records)?;
+            }
+            return Err(NodeError::NoWorkers { waited: patience });
+        }
+        let wait = coordinator.next_tick().saturating_sub(now).min(LOOK);
+        let mut event = transport.receive(wait)?;
+        // What has come by now is heard before anything else is done.
+        while let Some(heard) = event {
+            coordinator.handle(start.elapsed(), heard, &mut actions);
+            perform(transport, &mut coordinator, start.elapsed(), &mut actions, &mut log);
+            if coordinator.is_finished() {
+                break;
+            }
+            event = transport.receive(Duration::ZERO)?;
+        }
+    }
+}
+
+fn perform(
+    transport: &dyn Transport,
+    coordinator: &mut Coordinator,
+    now: Duration,
+    actions: &mut Vec<Action>,
+    log: &mut Vec<String>,
+) {
+    // Performing one can bring more.
+    while !actions.is_empty() {
+        for action in std::mem::take(actions) {
+            match action {
+                Action::Send { to, frame } => {
+                    if let Some(event) = send(transport, to, frame) {
+                        coordinator.handle(now, event, actions);
+                    }
+                }
+                Action::Disconnect { peer, .. } => transport.disconnect(peer),
+                Action::Log(line) => log.push(line),
+            }
+        }
+    }
+}
+
+/// Keeps a node connected to its coordinator.
+struct Reconnect<'a> {
+    transport: &'a dyn Transport,
+    address: &'a str,
+    patience: Duration,
+    lost: Option<Instant>,
+    last_try: Option<Instant>,
+}
+
+impl<'a> Reconnect<'a> {
+    fn new(transport: &'a dyn Transport, address: &'a str, patience: Duration) -> Reconnect<'a> {
+        Reconnect { transport, address, patience, lost: None, last_try: None }
+    }
+
+    /// To be called while the coordinator is not connected; a connection if one could be made.
+    fn attempt(&mut self) -> Result<Option<PeerId>, NodeError> {
+        let lost = *self.lost.get_or_insert_with(Instant::now);
+        if self.last_try.is_some_and(|last| last.elapsed() < RETRY) {
+            return Ok(None);
+        }
+        let result = self.transport.connect(self.address);
+        self.last_try = Some(Instant::now());
+        match result {
+            Ok(peer) => {
+                self.lost = None;
+                Ok(Some(peer))
+            }
+            Err(TransportError::Closed) => Err(TransportError::Closed.into()),
+            Err(error) if lost.elapsed() >= self.patience => Err(NodeError::NoCoordinator {
+                address: self.address.to_owned(),
+                waited: self.patience,
+                reason: error.to_string(),
+            }),
+            Err(_) => Ok(None),
+        }
+    }
+}
+
+/// Runs a reader until the picture is done or `stop` is set. It connects to the coordinator at `address`, again and again if need
+/// be, for at most `patience`.
+///
+/// # Errors
+/// [`NodeError::NoCoordinator`], [`NodeError::Transport`].
+pub fn run_reader(
+    transport: &dyn Transport,
+    mut reader: Reader,
+    address: &str,
+    patience: Duration,
+    stop: &AtomicBool,
+    log: &mut dyn FnMut(&str),
+) -> Result<ReaderCounters, NodeError> {
+    let start = Instant::now();
+    let mut reconnect = Reconnect::new(transport, address, patience);
+    let mut actions = Vec::new();
+    while !reader.is_finished() && !stop.load(Ordering::Relaxed) {
+        if !reader.is_connected()
+            && let Some(peer) = reconnect.attempt()?
+        {
+            reader.connected(peer, start.elapsed(), &mut actions);
+        }
+        match transport.receive(LOOK)? {
+            Some(event) => reader.handle(start.elapsed(), event, &mut actions),
+            None => reader.tick(start.elapsed(), &mut actions),
+        }
+        while !actions.is_empty() {
+            for action in std::mem::take(&mut actions) {
+                match action {
+                    Action::Send { to, frame } => {
+                        if let Some(event) = send(transport, to, frame) {
+                            reader.handle(start.elapsed(), event, &mut actions);
+                        }
+                    }
+                    Action::Disconnect { peer, reason } => {
+                        transport.disconnect(peer);
+                        log(&format!("connection {} ended: {reason}", peer.0));
+                    }
+                    Action::Log(line) => log(&line),
+                }
+            }
+        }
+    }
+    Ok(reader.counters())
+}
+
+/// What can be chosen about a worker.
+#[derive(Clone)]
+pub struct WorkerOptions {
+    /// What it calls itself to others.
+    pub name: String,
+    /// Threads that render.
+    pub lanes: u16,
+    /// The compiled model, if this node has it. Readers are asked first where there are any.
+    pub file: Option<Arc<dyn BlockSource>>,
+    /// All memory of the worker.
+    pub budget: MemoryBudget,
+    /// How the octree is opened; as many tracers as lanes.
+    pub octree: OctreeOptions,
+    /// How readers are asked.
+    pub remote: RemoteOptions,
+    /// Heartbeats.
+    pub roles: RoleOptions,
+    /// How long it tries to reach a coordinator, or waits for a reader, before it gives up.
+    pub patience: Duration,
+}
+
+/// What a worker did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WorkerReport {
+    /// Cells and connections.
+    pub worker: WorkerCounters,
+    /// Work of the queries, of all lanes.
+    pub trace: TraceCounters,
+    /// Blocks from readers, if there were any readers.
+    pub remote: Option<RemoteCounters>,
+}
+
+/// Runs a worker until the picture is done or `stop` is set. `control` leads to the coordinator at `address`; `data` is used for readers and
+/// nothing else.
+///
+/// # Errors
+/// [`NodeError`].
+pub fn run_worker(
+    control: &dyn Transport,
+    data: &Arc<dyn Transport>,
+    address: &str,
+    options: &WorkerOptions,
+    stop: &AtomicBool,
+    log: &mut dyn FnMut(&str),
+) -> Result<WorkerReport, NodeError> {
+    let model = options.file.as_ref().map(|file| model_key(file.model()));
+    let is_over = AtomicBool::new(false);
+    let (events_in, events) = mpsc::sync_channel(256);
+    thread::scope(|scope| {
+        let to_pump = events_in.clone();
+        let pump = || {
+            let to_pump = to_pump;
+            pump(control, &to_pump, &is_over)
+        };
+        scope.spawn(pump);
+        let mut engine = Engine {
+            worker: Worker::new(&options.name, options.lanes, model, options.roles),
+            reconnect: Reconnect::new(control, address, options.patience),
+            control,
+            events,
+            start: Instant::now(),
+            stop,
+            log,
+            waiting: VecDeque::new(),
+            readers: Vec::new(),
+        };
+        let result = engine.work(options, data, &events_in);
+        is_over.store(true, Ordering::Relaxed);
+        // Ends a pump that waits for room.
+        drop(engine);
+        result
+    })
+}
+
+/// Brings what the transport receives to where the lanes' results go too.
+fn pump(control: &dyn Transport, events: &SyncSender<WorkerEvent>, is_over: &AtomicBool) {
+    while !is_over.load(Ordering::Relaxed) {
+        match control.receive(LOOK) {
+            Ok(Some(event)) => {
+                if events.send(WorkerEvent::Network(event)).is_err() {
+                    return;
+                }
+            }
+            Ok(None) => {}
+            Err(_) => return,
+        }
+    }
+}
+
+/// A worker and what drives it.
+struct Engine<'a> {
+    worker: Worker,
+    reconnect: Reconnect<'a>,
+    control: &'a dyn Transport,
+    events: Receiver<WorkerEvent>,
+    start: Instant,
+    stop: &'a AtomicBool,
+    log: &'a mut dyn FnMut(&str),
+    /// Actions that are not for the network.
+    waiting: VecDeque<WorkerAction>,
+    readers: Vec<String>,
+}
+
+/// How a job ended.
+enum End {
+    Over,
+    Next(Box<Job>),
+}
+
+impl Engine<'_> {
+    fn work(
+        &mut self,
+        options: &WorkerOptions,
+        data: &Arc<dyn Transport>,
+        events_in: &SyncSender<WorkerEvent>,
+    ) -> Result<WorkerReport, NodeError> {
+        let mut report = WorkerReport::default();
+        let mut next: Option<Box<Job>> = None;
+        let mut waits_since = Instant::now();
+        while !self.is_over() {
+            self.turn()?;
+            while let Some(action) = self.waiting.pop_front() {
+                match action {
+                    WorkerAction::Open(job) => {
+                        next = Some(job);
+                        waits_since = Instant::now();
+                    }
+                    WorkerAction::Readers(readers) => self.readers = readers,
+                    // Nothing is open.
+                    WorkerAction::Render { .. } | WorkerAction::Network(_) => {}
+                }
+            }
+            let Some(job) = next.take() else { continue };
+            let source = match self.source(options, data) {
+                Ok(Some(source)) => source,
+                Ok(None) if waits_since.elapsed() < options.patience => {
+                    next = Some(job);
+                    continue;
+                }
+                Ok(None) => return self.fail("this node does not have the model, and there is no reader"),
+                // The reader may be gone by now; another may come.
+                Err(_) if waits_since.elapsed() < options.patience => {
+                    next = Some(job);
+                    continue;
+                }
+                Err(error) => return self.fail(&error.to_string()),
+            };
+            let end = self.job(options, &job, &source, events_in, &mut report);
+            if let Source::Remote(remote) = &source {
+                report.remote = Some(remote.counters());
+            }
+            match end {
+                Ok(End::Over) => break,
+                Ok(End::Next(job)) => next = Some(job),
+                Err(error) => return self.fail(&error.to_string()),
+            }
+            waits_since = Instant::now();
+        }
+        report.worker = self.worker.counters();
+        match self.worker.failure() {
+            Some(reason) => Err(NodeError::CannotRender { reason: reason.to_owned() }),
+            None => Ok(report),
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.worker.is_finished() || self.worker.failure().is_some() || self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Tells the coordinator, and gives up.
+    fn fail(&mut self, reason: &str) -> Result<WorkerReport, NodeError> {
+        self.handle(WorkerEvent::Failed { reason: reason.to_owned() });
+        Err(NodeError::CannotRender { reason: reason.to_owned() })
+    }
+
+    /// Waits for the next event and lets the worker act on it.
+    fn turn(&mut self) -> Result<(), NodeError> {
+        if !self.worker.is_connected()
+            && let Some(peer) = self.reconnect.attempt()?
+        {
+            self.handle(WorkerEvent::Connected(peer));
+        }
+        match self.events.recv_timeout(LOOK) {
+            Ok(event) => self.handle(event),
+            Err(RecvTimeoutError::Timeout) => {
+                let mut actions = Vec::new();
+                self.worker.tick(self.start.elapsed(), &mut actions);
+                self.perform(actions);
+            }
+            // The engine holds a sender.
+            Err(RecvTimeoutError::Disconnected) => return Err(TransportError::Closed.into()),
+        }
+        Ok(())
+    }
+
+    fn handle(&mut self, event: WorkerEvent) {
+        let mut actions = Vec::new();
+        self.worker.handle(self.start.elapsed(), event, &mut actions);
+        self.perform(actions);
+    }
+
+    fn perform(&mut self, actions: Vec<WorkerAction>) {
+        let mut todo = VecDeque::from(actions);
+        while let Some(action) = todo.pop_front() {
+            match action {
+                WorkerAction::Network(Action::Send { to, frame }) => {
+                    if let Some(event) = send(self.control, to, frame) {
+                        let mut more = Vec::new();
+                        let event = WorkerEvent::Network(event);
+                        self.worker.handle(self.start.elapsed(), event, &mut more);
+                        todo.extend(more);
+                    }
+                }
+                WorkerAction::Network(Action::Disconnect { peer, reason }) => {
+                    self.control.disconnect(peer);
+                    (self.log)(&format!("connection {} ended: {reason}", peer.0));
+                }
+                WorkerAction::Network(Action::Log(line)) => (self.log)(&line),
+                other => self.waiting.push_back(other),
+            }
+        }
+    }
+
+    /// Where blocks come from, as soon as there is such a place.
+    fn source(
+        &self,
+        options: &WorkerOptions,
+        data: &Arc<dyn Transport>,
+    ) -> Result<Option<Source>, SourceError> {
+        let has_readers = !self.readers.is_empty();
+        Ok(match &options.file {
+            Some(file) if has_readers => {
+                let (file, data, readers) = (Arc::clone(file), Arc::clone(data), self.readers.clone());
+                Some(Source::Remote(Arc::new(RemoteSource::beside(file, data, readers, options.remote))))
+            }
+            Some(file) => Some(Source::File(Arc::clone(file))),
+            None if self.readers.iter().any(|reader| !reader.is_empty()) => {
+                let remote = RemoteSource::open(Arc::clone(data), self.readers.clone(), options.remote)?;
+                Some(Source::Remote(Arc::new(remote)))
+            }
+            None => None,
+        })
+    }
+
+    /// Renders for one job until it is over or another comes.
+    fn job(
+        &mut self,
+        options: &WorkerOptions,
+        job: &Job,
+        source: &Source,
+        events_in: &SyncSender<WorkerEvent>,
+        report: &mut WorkerReport,
+    ) -> Result<End, RenderError> {
+        let blocks = source.blocks();
+        if model_key(blocks.model()) != job.model {
+            let reason = "the model here is not the one that is rendered".to_owned();
+            return Err(RenderError::Setting { what: "model", reason });
+        }
+        let lanes = options.lanes.max(1);
+        let budget = &options.budget;
+        // The octree's cache takes what is left of the budget.
+        let scratch = Renderer::region_bytes(&job.scene, blocks.model(), &job.settings)?;
+        let set_aside =
+            budget.reserve(Bytes(scratch.0 * u64::from(lanes)), "the lanes' ray trees and pixels")?;
+        let octree_options = OctreeOptions { tracers_max: u32::from(lanes), ..options.octree };
+        let octree = LazyOctree::open(blocks, budget, octree_options)?;
+        drop(set_aside);
+        let renderer = Renderer::new(&octree, &job.scene, &job.settings, budget)?;
+        let abort = AtomicBool::new(false);
+        let (totals_in, totals) = mpsc::channel();
+        let end = thread::scope(|scope| {
+            let mut to_lanes: Vec<Sender<Region>> = Vec::new();
+            for lane in 0..lanes {
+                let (regions_in, regions) = mpsc::channel();
+                to_lanes.push(regions_in);
+                let (renderer, abort) = (&renderer, &abort);
+                let (events, totals) = (events_in.clone(), totals_in.clone());
+                scope.spawn(move || {
+                    let mut trace = TraceCounters::default();
+                    let result = renderer.regions(abort).and_then(|mut regions_of| {
+                        let result = serve(lane, &mut regions_of, &regions, &events);
+                        trace = regions_of.counters().1;
+                        result
+                    });
+                    if let Err(error) = result {
+                        // The engine may be gone already.
+                        let _ = events.send(WorkerEvent::Failed { reason: error.to_string() });
+                    }
+                    let _ = totals.send(trace);
+                });
+            }
+            self.handle(WorkerEvent::Opened);
+            let end = self.render(source, &to_lanes);
+            abort.store(true, Ordering::Relaxed);
+            if let Source::Remote(remote) = source {
+                remote.abandon();
+            }
+            drop(to_lanes);
+            // Lanes that wait for room are let go; what they have is of no use any more, what the network brings is.
+            let mut kept = Vec::new();
+            drop(totals_in);
+            let mut left = usize::from(lanes);
+            while left > 0 {
+                if let Ok(trace) = totals.try_recv() {
+                    report.trace.merge(&trace);
+                    left -= 1;
+                }
+                match self.events.recv_timeout(Duration::from_millis(1)) {
+                    Ok(WorkerEvent::Network(event)) => kept.push(event),
+                    Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => break,
+                }
+            }
+            for event in kept {
+                self.handle(WorkerEvent::Network(event));
+            }
+            end
+        });
+        end.map_err(|error| RenderError::Setting { what: "cluster", reason: error.to_string() })
+    }
+
+    fn render(&mut self, source: &Source, lanes: &[Sender<Region>]) -> Result<End, NodeError> {
+        loop {
+            while let Some(action) = self.waiting.pop_front() {
+                match action {
+                    WorkerAction::Open(job) => return Ok(End::Next(job)),
+                    WorkerAction::Readers(readers) => {
+                        self.readers = readers;
+                        if let Source::Remote(remote) = source {
+                            remote.set_readers(self.readers.clone());
+                        }
+                    }
+                    WorkerAction::Render { lane, region } => {
+                        // A lane that has ended has said why.
+                        let _ = lanes.get(usize::from(lane)).map(|lane| lane.send(region));
+                    }
+                    WorkerAction::Network(_) => {}
+                }
+            }
+            if self.is_over() {
+                return Ok(End::Over);
+            }
+            self.turn()?;
+        }
+    }
+}
+
+/// Where a worker's blocks come from.
+enum Source {
+    File(Arc<dyn BlockSource>),
+    Remote(Arc<RemoteSource>),
+}
+
+impl Source {
+    fn blocks(&self) -> Arc<dyn BlockSource> {
+        match self {
+            Source::File(file) => Arc::clone(file),
+            Source::Remote(remote) => Arc::clone(remote) as Arc<dyn BlockSource>,
+        }
+    }
+}
+
+/// A lane's thread: renders what it is told to until nobody tells it any more.
+fn serve(
+    lane: u16,
+    renderer: &mut RegionRenderer<'_>,
+    regions: &Receiver<Region>,
+    events: &SyncSender<WorkerEvent>,
+) -> Result<(), RenderError> {
+    while let Ok(region) = regions.recv() {
+        let (start, before) = (Instant::now(), work(&renderer.counters().1));
+        let Some(pixels) = renderer.render(region)?.map(<[_]>::to_vec) else { return Ok(()) };
+        let work = work(&renderer.counters().1) - before;
+        let event = WorkerEvent::Rendered { lane, pixels, time: start.elapsed(), work };
+        if events.send(event).is_err() {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+/// What queries cost in nanoseconds of some machine, from their counters: the same on every machine, so that the schedule can tell a slow
+/// machine from an expensive tile. Loads are not in it: they depend on what is in the cache.
+fn work(counters: &TraceCounters) -> f64 {
+    120.0 * counters.rays as f64
+        + 15.0 * counters.box_tests as f64
+        + 2.0 * counters.triangle_tests as f64
+        + 30.0 * counters.decisions as f64
+}

@@ -1,0 +1,230 @@
+//! A reader: holds blocks in memory and serves them, and any other bytes of the compiled file.
+
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::message::{MESSAGE_VERSION, Message, Role, short};
+use super::model_file::{ModelFile, model_key};
+use super::{Action, RoleOptions};
+use crate::budget::{MemoryBudget, Reservation};
+use crate::error::BudgetError;
+use crate::transport::{PeerId, TransportEvent};
+use crate::units::{BlockId, Bytes};
+
+/// What a reader did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReaderCounters {
+    /// Blocks that were asked for.
+    pub blocks_asked: u64,
+    /// Of these, blocks that were read from disk.
+    pub blocks_from_disk: u64,
+    /// Blocks that could not be given.
+    pub blocks_failed: u64,
+    /// Bytes of blocks sent.
+    pub bytes_sent: u64,
+    /// Bytes of the file sent to nodes that do not have it.
+    pub file_bytes_sent: u64,
+    /// Frames that were not messages; their senders were disconnected.
+    pub bad_frames: u64,
+}
+
+/// The state machine of a reader: events in, actions out.
+///
+/// Workers decide which blocks they ask which reader for (see [`readers_of`](super::readers_of)); a reader keeps what it was asked
+/// for, the latest first, within its memory. So each block that a picture needs is read from disk once in the whole
+/// cluster, as long as the readers' memories together hold it.
+pub struct Reader {
+    file: Arc<dyn ModelFile>,
+    name: String,
+    address: String,
+    key: u64,
+    coordinator: Option<PeerId>,
+    options: RoleOptions,
+    last_alive: Duration,
+    held: HashMap<u32, Box<[u8]>>,
+    /// In the order of their arrival.
+    order: VecDeque<u32>,
+    held_bytes: u64,
+    memory: Reservation,
+    counters: ReaderCounters,
+    buffer: Vec<u8>,
+    /// Nodes that are connected and may still want blocks.
+    peers: HashSet<PeerId>,
+    /// Since when the picture is done.
+    finished: Option<Duration>,
+    is_over: bool,
+}
+
+/// When the picture is done, workers may be in the middle of a tile that they will throw away; so long a reader serves on.
+const LINGER: Duration = Duration::from_secs(2);
+
+impl Reader {
+    /// A reader of `file` that others reach at `address`, and that keeps at most `memory` of blocks, which it takes from `budget`.
+    ///
+    /// # Errors
+    /// [`BudgetError`].
+    pub fn new(
+        file: Arc<dyn ModelFile>,
+        name: &str,
+        address: &str,
+        memory: Bytes,
+        budget: &MemoryBudget,
+        options: RoleOptions,
+    ) -> Result<Reader, BudgetError> {
+        let memory = budget.reserve(memory, "a reader's blocks")?;
+        let key = model_key(file.model());
+        Ok(Reader {
+            name: short(name),
+            address: address.to_owned(),
+            key,
+            coordinator: None,
+            options,
+            last_alive: Duration::ZERO,
+            held: HashMap::new(),
+            order: VecDeque::new(),
+            held_bytes: 0,
+            memory,
+            counters: ReaderCounters::default(),
+            buffer: Vec::new(),
+            file,
+            peers: HashSet::new(),
+            finished: None,
+            is_over: false,
+        })
+    }
+
+    /// The connection to the coordinator was made.
+    pub fn connected(&mut self, coordinator: PeerId, now: Duration, actions: &mut Vec<Action>) {
+        self.coordinator = Some(coordinator);
+        self.last_alive = now;
+        let hello = Message::Hello {
+            version: MESSAGE_VERSION,
+            role: Role::Reader,
+            name: self.name.clone(),
+            address: Some(self.address.clone()),
+            model: Some(self.key),
+        };
+        actions.push(Action::Send { to: coordinator, frame: hello.frame() });
+    }
+
+    /// Whether the coordinator is connected; if not, the driver tries again.
+    pub fn is_connected(&self) -> bool {
+        self.coordinator.is_some()
+    }
+
+    /// Whether the picture is done, nobody wants blocks any more, and the reader may end.
+    pub fn is_finished(&self) -> bool {
+        self.is_over
+    }
+
+    /// What it did so far.
+    pub fn counters(&self) -> ReaderCounters {
+        self.counters
+    }
+
+    /// Something happened.
+    pub fn handle(&mut self, now: Duration, event: TransportEvent, actions: &mut Vec<Action>) {
+        match event {
+            TransportEvent::Frame { peer, bytes } => match Message::parse(&bytes) {
+                Ok((Message::Finished, _)) if Some(peer) == self.coordinator => self.finished = Some(now),
+                Ok((Message::Read { blocks }, _)) => {
+                    for block in blocks {
+                        let frame = self.block_frame(block);
+                        actions.push(Action::Send { to: peer, frame });
+                    }
+                }
+                Ok((Message::ReadFile { offset, length }, _)) => {
+                    let frame = self.file_frame(offset, length);
+                    actions.push(Action::Send { to: peer, frame });
+                }
+                // What the coordinator says to everybody.
+                Ok((Message::Alive | Message::Finished | Message::Job(_) | Message::Readers { .. }, _)) => {}
+                Ok(_) => self.refuse(peer, "a message that is not for readers".to_owned(), actions),
+                Err(error) => self.refuse(peer, error.to_string(), actions),
+            },
+            TransportEvent::Disconnected { peer, reason } if Some(peer) == self.coordinator => {
+                self.coordinator = None;
+                actions.push(Action::Log(format!("the coordinator is gone: {reason}")));
+            }
+            TransportEvent::Refused { from, reason } => {
+                actions.push(Action::Log(format!("refused {from}: {reason}")));
+            }
+            TransportEvent::Connected { peer, .. } => {
+                self.peers.insert(peer);
+            }
+            TransportEvent::Disconnected { peer, .. } => {
+                self.peers.remove(&peer);
+            }
+        }
+        self.tick(now, actions);
+    }
+
+    /// To be called at least every [`RoleOptions::heartbeat`].
+    pub fn tick(&mut self, now: Duration, actions: &mut Vec<Action>) {
+        let is_done_for = |since| self.peers.is_empty() || now.saturating_sub(since) >= LINGER;
+        self.is_over |= self.finished.is_some_and(is_done_for);
+        if let Some(coordinator) = self.coordinator
+            && now.saturating_sub(self.last_alive) >= self.options.heartbeat
+        {
+            self.last_alive = now;
+            actions.push(Action::Send { to: coordinator, frame: Message::Alive.frame() });
+        }
+    }
+
+    fn refuse(&mut self, peer: PeerId, reason: String, actions: &mut Vec<Action>) {
+        self.counters.bad_frames += 1;
+        self.peers.remove(&peer);
+        if Some(peer) == self.coordinator {
+            self.coordinator = None;
+        }
+        actions.push(Action::Disconnect { peer, reason });
+    }
+
+    fn block_frame(&mut self, block: u32) -> Vec<u8> {
+        self.counters.blocks_asked += 1;
+        if let Some(bytes) = self.held.get(&block) {
+            self.counters.bytes_sent += bytes.len() as u64;
+            return Message::Block { block }.frame_with(bytes);
+        }
+        if let Err(error) = self.file.read_block(BlockId(block), &mut self.buffer) {
+            self.counters.blocks_failed += 1;
+            return Message::NoBlock { block, reason: short(error.to_string()) }.frame();
+        }
+        self.counters.blocks_from_disk += 1;
+        self.counters.bytes_sent += self.buffer.len() as u64;
+        let frame = Message::Block { block }.frame_with(&self.buffer);
+        self.keep(block);
+        frame
+    }
+
+    /// Keeps the block in the buffer, and lets the oldest go to make room.
+    fn keep(&mut self, block: u32) {
+        let bytes = self.buffer.len() as u64;
+        if bytes > self.memory.bytes().0 {
+            return;
+        }
+        while self.held_bytes + bytes > self.memory.bytes().0 {
+            let Some(oldest) = self.order.pop_front() else { break };
+            if let Some(gone) = self.held.remove(&oldest) {
+                self.held_bytes -= gone.len() as u64;
+            }
+        }
+        self.held_bytes += bytes;
+        self.order.push_back(block);
+        self.held.insert(block, self.buffer.as_slice().into());
+    }
+
+    fn file_frame(&mut self, offset: u64, length: u32) -> Vec<u8> {
+        // The length is checked when the message is parsed.
+        let file_bytes = self.file.file_bytes().unwrap_or(0);
+        let length = u64::from(length).min(file_bytes.saturating_sub(offset));
+        self.buffer.clear();
+        self.buffer.resize(length as usize, 0);
+        if self.file.read_range(offset, &mut self.buffer).is_err() {
+            self.buffer.clear();
+        }
+        self.counters.file_bytes_sent += self.buffer.len() as u64;
+        Message::FilePart { offset, file_bytes }.frame_with(&self.buffer)
+    }
+}

@@ -1,0 +1,112 @@
+//! Any order of results, losses, joins and late answers: every cell is done once, none is lost, the render ends.
+
+mod world;
+
+use std::time::Duration;
+
+use proptest::prelude::*;
+
+use self::world::{World, event};
+use super::*;
+use crate::error::ScheduleError;
+use crate::units::{LeaseId, TileId, WorkerId};
+
+/// Every policy, and every switch in both positions.
+fn all_options() -> impl Strategy<Value = SchedulerOptions> {
+    let policies = prop_oneof![
+        1 => Just(TilePolicy::Rows),
+        1 => Just(TilePolicy::Nearest(CentralPoints::Even)),
+        1 => (0.0..=1.0).prop_map(|weight| TilePolicy::TradeOff { points: CentralPoints::Diagonals, weight }),
+        3 => Just(TilePolicy::Curve),
+    ];
+    let sides = prop_oneof![Just((64, 8)), Just((32, 32)), Just((16, 4)), Just((8, 4))];
+    let switches = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
+    let numbers = (1u32..20, 1u32..5, prop_oneof![Just(0.0), 0.0..1.0]);
+    (policies, sides, switches, numbers).prop_map(|(policy, (tile_side, cell_side), switches, numbers)| {
+        let (critical_time, take_over, learn_speeds, five) = switches;
+        let (expected_workers, leases_in_hand_max, share_of_rest) = numbers;
+        SchedulerOptions {
+            tile_side,
+            cell_side,
+            policy,
+            tiles_per_worker: if five { 5 } else { 0 },
+            share_of_rest,
+            critical_time,
+            take_over,
+            learn_speeds,
+            leases_in_hand_max,
+            lease_min: Duration::from_secs(2),
+            ..SchedulerOptions::new(expected_workers)
+        }
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+
+    #[test]
+    fn every_cell_is_done_once_and_the_render_ends(
+        options in all_options(),
+        width in 1u32..200,
+        height in 1u32..150,
+        events in prop::collection::vec(event(), 0..250),
+    ) {
+        let mut world = World::new(width, height, options);
+        for event in events {
+            world.apply(event);
+        }
+        world.finish();
+    }
+}
+
+fn scheduler(options: SchedulerOptions) -> AdaptiveScheduler {
+    AdaptiveScheduler::new(200, 100, options).unwrap()
+}
+
+fn assignment(answer: Answer) -> Assignment {
+    match answer {
+        Answer::Assign(assignment) => assignment,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let mut scheduler = scheduler(SchedulerOptions::new(2));
+    let now = Duration::ZERO;
+    let stranger = WorkerId(7);
+    assert_eq!(scheduler.request(stranger, now), Err(ScheduleError::UnknownWorker { worker: 7 }));
+    scheduler.leave(stranger, now);
+    scheduler.join(stranger, now);
+    scheduler.join(stranger, now);
+    assert_eq!(scheduler.progress().workers, 1);
+    let result = |tile, cells| TileResult {
+        lease: LeaseId(0),
+        cells: TileCells { tile: TileId(tile), cells },
+        is_last: true,
+        spent: Spent { seconds: f64::NAN, work: f64::INFINITY },
+    };
+    let tiles = scheduler.grid().tile_count();
+    for bad in [result(tiles, 1), result(u32::MAX, 0b11), result(tiles - 1, !0)] {
+        let exists = scheduler.grid().cells_of(bad.cells.tile);
+        assert!(bad.cells.cells & !exists != 0);
+        assert!(matches!(scheduler.complete(stranger, &bad, now), Err(ScheduleError::NoSuchCells { .. })));
+    }
+    assert_eq!(scheduler.progress().cells_done, 0);
+    // Numbers that are none do no harm.
+    assert_eq!(scheduler.complete(stranger, &result(0, 1), now).unwrap().fresh.count(), 1);
+    assignment(scheduler.request(stranger, now).unwrap());
+}
+
+/// A worker that only takes gets no more than it may hold.
+#[test]
+fn a_greedy_worker_has_to_wait() {
+    let options = SchedulerOptions { leases_in_hand_max: 3, ..SchedulerOptions::new(2) };
+    let mut scheduler = scheduler(options);
+    let worker = WorkerId(0);
+    scheduler.join(worker, Duration::ZERO);
+    for _ in 0..3 {
+        assignment(scheduler.request(worker, Duration::ZERO).unwrap());
+    }
+    assert_eq!(scheduler.request(worker, Duration::ZERO), Ok(Answer::Wait));
+}

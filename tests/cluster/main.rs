@@ -1,0 +1,8 @@
+//! The cluster as a whole: simulated with faults, in threads, as processes, and with hostile peers.
+
+mod hostile;
+mod messages;
+mod processes;
+mod simulated;
+mod support;
+mod threads;

@@ -1,0 +1,110 @@
+//! A small model, a scene for it, and the picture that one machine makes of it.
+
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use outcrop::cluster::{CoordinatorOptions, Job, RemoteOptions, RoleOptions, WorkerOptions, model_key};
+use outcrop::compile::{CompileOptions, Compiler, Control, Threads};
+use outcrop::octree::OctreeOptions;
+use outcrop::procedural::{Gears, Shape, Tessellation};
+use outcrop::render::{RenderSettings, Renderer};
+use outcrop::scene::{Camera, Light, Scene};
+use outcrop::schedule::SchedulerOptions;
+use outcrop::source::MemorySource;
+use outcrop::units::Bytes;
+use outcrop::{BlockSource, LazyOctree, MemoryBudget};
+
+/// A compiled file of gears with mirrors and glass in small blocks.
+pub fn model_bytes() -> &'static Arc<[u8]> {
+    static BYTES: OnceLock<Arc<[u8]>> = OnceLock::new();
+    BYTES.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gears.outcrop");
+        let options = CompileOptions { block_bytes: 8192, ..CompileOptions::default() };
+        let mut go_on = |_| Control::Continue;
+        let mut compiler =
+            Compiler::new(&path, options, &MemoryBudget::new(Bytes::mib(64)), &mut go_on).unwrap();
+        let gears = Gears::with_tessellation(1, Tessellation::new(16).unwrap()).unwrap();
+        gears.emit(&mut compiler).unwrap();
+        compiler.finish().unwrap();
+        std::fs::read(path).unwrap().into()
+    })
+}
+
+pub fn model() -> MemorySource {
+    MemorySource::new(Arc::clone(model_bytes())).unwrap()
+}
+
+/// The standard view of the gears.
+pub fn scene() -> Scene {
+    let camera = Camera::pinhole([-1.1, -2.1, 2.6], [0.0; 3], [0.0, 0.0, 1.0], 45.0).unwrap();
+    Scene::new(camera)
+        .with_light(Light::point([2.0, 4.0, 4.0], [0.5; 3]))
+        .with_light(Light::point([-1.0, -4.0, 2.0], [0.5; 3]))
+        .with_background([0.45, 0.55, 0.68])
+        .with_ambient([0.08; 3])
+}
+
+pub fn settings() -> RenderSettings {
+    // Not a multiple of anything.
+    RenderSettings { samples_per_pixel: 2, ..RenderSettings::new(203, 141) }
+}
+
+pub fn job() -> Job {
+    Job::new(scene(), settings(), model_key(model().model()))
+}
+
+/// The picture by one machine, with one thread.
+pub fn reference() -> &'static Vec<[f32; 3]> {
+    static PIXELS: OnceLock<Vec<[f32; 3]>> = OnceLock::new();
+    PIXELS.get_or_init(|| {
+        let budget = MemoryBudget::new(Bytes::mib(256));
+        let octree = LazyOctree::open(Arc::new(model()), &budget, OctreeOptions::default()).unwrap();
+        let renderer = Renderer::new(&octree, &scene(), &settings(), &budget).unwrap();
+        let image = renderer.render(&Threads::One, &mut |_| Control::Continue).unwrap();
+        image.into_complete().unwrap().pixels().to_vec()
+    })
+}
+
+pub fn quick_roles() -> RoleOptions {
+    RoleOptions { heartbeat: Duration::from_millis(100), silence_max: Duration::from_secs(10) }
+}
+
+pub fn coordinator_options(workers: u32, readers: usize) -> CoordinatorOptions {
+    CoordinatorOptions { roles: quick_roles(), schedule: SchedulerOptions::new(workers), readers }
+}
+
+pub fn worker_options(name: &str, lanes: u16, file: Option<Arc<dyn BlockSource>>) -> WorkerOptions {
+    WorkerOptions {
+        name: name.to_owned(),
+        lanes,
+        file,
+        budget: MemoryBudget::new(Bytes::mib(64)),
+        octree: OctreeOptions { slots_max: Some(24), ..OctreeOptions::default() },
+        remote: RemoteOptions { retry_after: Duration::from_millis(300), ..RemoteOptions::default() },
+        roles: quick_roles(),
+        patience: Duration::from_secs(60),
+    }
+}
+
+/// SplitMix64.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    pub fn below(&mut self, count: u64) -> u64 {
+        self.next() % count
+    }
+
+    /// 0 to 1.
+    pub fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
