@@ -313,10 +313,11 @@ impl TileScheduler for AdaptiveScheduler {
             // What is left may be nothing; then its holder may stop.
             self.shorten(id);
         }
-        if own && let Some(lease) = self.ledger.lease(result.lease) {
-            if result.is_last || lease.cells.is_empty() {
-                self.close(result.lease);
-            }
+        if own
+            && let Some(lease) = self.ledger.lease(result.lease)
+            && (result.is_last || lease.cells.is_empty())
+        {
+            self.close(result.lease);
         }
         if let Some(slot) = slot {
             self.reckon(slot);

@@ -270,7 +270,7 @@ impl Cluster<'_> {
                 let time = nanos(self.model.message_seconds) * (gathered.len() as u64 + 1);
                 self.relays[relay].free = self.relays[relay].free.max(self.now) + time;
                 let bytes = gathered.iter().map(|(_, message)| self.bytes_of(message)).sum();
-                self.to_coordinator(self.relays[relay].free, bytes, gathered);
+                self.deliver(self.relays[relay].free, bytes, gathered);
             }
             Event::Arrived(messages) => {
                 self.inbox.push_back(messages);
@@ -441,13 +441,13 @@ impl Cluster<'_> {
         let bytes = self.bytes_of(&message);
         let sent = self.now + nanos(bytes / self.model.worker_bytes_per_second);
         if self.relays.is_empty() {
-            self.to_coordinator(sent, bytes, vec![(worker, message)]);
+            self.deliver(sent, bytes, vec![(worker, message)]);
         } else {
             self.at(sent + nanos(self.model.latency_seconds), Event::Gathered(worker, message));
         }
     }
 
-    fn to_coordinator(&mut self, sent: u64, bytes: f64, messages: Vec<(u32, Bound)>) {
+    fn deliver(&mut self, sent: u64, bytes: f64, messages: Vec<(u32, Bound)>) {
         let arrives = self.carry(IN, sent + nanos(self.model.latency_seconds), bytes);
         self.at(arrives, Event::Arrived(messages));
     }

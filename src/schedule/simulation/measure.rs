@@ -23,6 +23,9 @@ pub enum AccessDetail {
     Sequence,
 }
 
+/// Traces the rays of one pixel, given as column and row.
+pub type TracePixel<'f> = dyn FnMut(&mut Tracer<'_>, [u32; 2]) -> Result<(), TraceError> + 'f;
+
 /// Tiles that are recorded together; bounds the memory of the recording.
 const TILES_AT_ONCE: u32 = 64;
 
@@ -38,7 +41,7 @@ pub fn measure(
     grid: &ImageGrid,
     detail: AccessDetail,
     model: &CostModel,
-    trace: &mut dyn FnMut(&mut Tracer<'_>, [u32; 2]) -> Result<(), TraceError>,
+    trace: &mut TracePixel<'_>,
     progress: &mut dyn FnMut(TileId),
 ) -> Result<CostImage, Error> {
     let entries = &octree.model().blocks;

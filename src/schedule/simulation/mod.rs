@@ -14,7 +14,7 @@ mod report;
 pub use cluster::simulate;
 pub use cost_image::{BlockSize, CostImage, CostModel};
 pub use machine::{ClusterModel, Relays, SequentialRun, sequential};
-pub use measure::{AccessDetail, measure};
+pub use measure::{AccessDetail, TracePixel, measure};
 pub use report::SimulationReport;
 
 #[cfg(test)]
