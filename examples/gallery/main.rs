@@ -27,7 +27,7 @@ gallery: renders one small scene per effect, and says what each effect costs
 
     -o, --output FOLDER   where pictures and README.md go (docs/gallery)
     --only NAME           one picture, and no page
-    --size WxH            of the pictures (320x240)
+    --size WxH            of the pictures (240x180)
     --quick               tiny pictures and no measurement: shows that everything works
     --threads N           for the pictures (2); costs are measured on one
 ";
@@ -48,7 +48,7 @@ fn run(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
     let mut options = Options {
         output: PathBuf::from("docs/gallery"),
         only: None,
-        size: [320, 240],
+        size: [240, 180],
         quick: false,
         threads: 2,
     };
@@ -110,7 +110,7 @@ fn make(
     let settings = RenderSettings {
         samples_per_pixel: if options.quick { 2 } else { entry.samples_per_pixel },
         path_end: PathEnd::Roulette,
-        contribution_bound: 0.02,
+        contribution_bound: 0.05,
         ..RenderSettings::new(width, height)
     };
     // Scenes without luck keep their exact cut.
@@ -171,7 +171,7 @@ fn costs(
     effect: Effect,
     budget: &MemoryBudget,
 ) -> Result<Costs, Box<dyn Error>> {
-    let planned = RenderSettings { width: 160, height: 120, samples_per_pixel: 4, ..*settings };
+    let planned = RenderSettings { width: 64, height: 48, samples_per_pixel: 4, ..*settings };
     let without = RenderSettings { switched_off: EffectSet::EMPTY.with(effect), ..planned };
     let forced = RenderSettings { forced: EffectSet::ALL, ..planned };
     let mut runs = [Run::default(); 3];

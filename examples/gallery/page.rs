@@ -88,7 +88,7 @@ impl Page {
         if !self.rows.is_empty() {
             text.push_str(
                 "## What each effect costs\n\n\
-                 In its own scene, at 160 x 120 pixels and 4 samples: rays per sample without the effect, with it, and with every\n\
+                 In its own scene, at 64 x 48 pixels and 4 samples: rays per sample without the effect, with it, and with every\n\
                  effect forced, that is traced and multiplied by zero; CPU time with the effect over without it, and with everything\n\
                  forced over the plan's. The best of three interleaved runs on one thread. The picture with everything forced is the\n\
                  same to the bit, or the example fails.\n\n\

@@ -131,7 +131,7 @@ fn bricks() -> Result<Entry, Box<dyn Error>> {
         .with_ambient([0.22, 0.24, 0.28])
         .with_light(Light::directional([0.7, -1.0, -0.75], [0.9, 0.84, 0.72]));
     let (name, title) = ("bricks", "Matt bricks: direct light and shadows, nothing else");
-    Ok(Entry { name, title, effect: Some(Effect::Shadows), mesh, scene, samples_per_pixel: 16 })
+    Ok(Entry { name, title, effect: Some(Effect::Shadows), mesh, scene, samples_per_pixel: 9 })
 }
 
 fn spot() -> Result<Entry, Box<dyn Error>> {
@@ -153,7 +153,7 @@ fn spot() -> Result<Entry, Box<dyn Error>> {
         .with_light(lamp([2.2, 3.0, 2.0], [15.0, 12.0, 8.0], 17.0))
         .with_light(lamp([-2.6, 2.6, 1.2], [5.0, 7.5, 13.0], 19.0));
     let (name, title) = ("spot-light", "Two spot lights that fall off with distance");
-    Ok(Entry { name, title, effect: Some(Effect::DirectLight), mesh, scene, samples_per_pixel: 16 })
+    Ok(Entry { name, title, effect: Some(Effect::DirectLight), mesh, scene, samples_per_pixel: 9 })
 }
 
 fn area_light() -> Result<Entry, Box<dyn Error>> {
@@ -168,7 +168,7 @@ fn area_light() -> Result<Entry, Box<dyn Error>> {
         .with_light(panel([-1.4, 2.6, 1.2], 1.4, 1.4, [11.0, 10.6, 10.0]))
         .with_light(Light::area(bulb, [14.0, 8.5, 3.4]));
     let (name, title) = ("area-light", "A rectangle above and a glowing ball: soft shadows");
-    Ok(Entry { name, title, effect: Some(Effect::AreaLight), mesh, scene, samples_per_pixel: 36 })
+    Ok(Entry { name, title, effect: Some(Effect::AreaLight), mesh, scene, samples_per_pixel: 25 })
 }
 
 fn environment_light(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
@@ -180,7 +180,7 @@ fn environment_light(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
     mesh.ball(chrome, [0.55, 0.5, 0.1], 0.5);
     let scene = Scene::new(camera([0.0, 1.3, 4.6], [0.0, 0.55, 0.0], 36.0)?).with_environment(sky(budget)?);
     let (name, title) = ("environment-light", "A sky with a small sun, sampled by importance");
-    Ok(Entry { name, title, effect: Some(Effect::EnvironmentLight), mesh, scene, samples_per_pixel: 36 })
+    Ok(Entry { name, title, effect: Some(Effect::EnvironmentLight), mesh, scene, samples_per_pixel: 25 })
 }
 
 fn mirrors() -> Result<Entry, Box<dyn Error>> {
@@ -207,7 +207,7 @@ fn mirrors() -> Result<Entry, Box<dyn Error>> {
         .with_ambient([0.2, 0.2, 0.22])
         .with_light(Light::directional([-0.4, -1.0, -0.8], [0.75, 0.72, 0.66]));
     let (name, title) = ("mirrors", "Two mirrors that see each other");
-    Ok(Entry { name, title, effect: Some(Effect::Reflection), mesh, scene, samples_per_pixel: 16 })
+    Ok(Entry { name, title, effect: Some(Effect::Reflection), mesh, scene, samples_per_pixel: 9 })
 }
 
 fn glossy(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
@@ -223,7 +223,7 @@ fn glossy(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
         mesh.ball(copper, [-1.35 + 0.9 * place as f64, 0.42, 0.0], 0.42);
     }
     let (name, title) = ("glossy-reflection", "Copper of roughness 0.12, 0.28, 0.45 and 0.7");
-    Ok(Entry { name, title, effect: Some(Effect::GlossyReflection), mesh, scene, samples_per_pixel: 36 })
+    Ok(Entry { name, title, effect: Some(Effect::GlossyReflection), mesh, scene, samples_per_pixel: 25 })
 }
 
 fn glass_stack() -> Result<Entry, Box<dyn Error>> {
@@ -246,7 +246,7 @@ fn glass_stack() -> Result<Entry, Box<dyn Error>> {
         .with_light(Light::directional([-0.5, -1.0, -0.5], [0.7, 0.68, 0.62]));
     let (name, title) =
         ("glass-stack", "Seven panes of glass: refraction, Fresnel and all reflections between them");
-    Ok(Entry { name, title, effect: Some(Effect::Transmission), mesh, scene, samples_per_pixel: 16 })
+    Ok(Entry { name, title, effect: Some(Effect::Transmission), mesh, scene, samples_per_pixel: 4 })
 }
 
 fn frosted(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
@@ -267,7 +267,7 @@ fn frosted(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
         mesh.block(post, [-1.8 + 1.2 * place as f64, 0.0, -1.3], [0.35, 1.3, 0.35], 15.0);
     }
     let (name, title) = ("rough-refraction", "Glass of roughness 0, 0.2, 0.35 and 0.55");
-    Ok(Entry { name, title, effect: Some(Effect::RoughRefraction), mesh, scene, samples_per_pixel: 36 })
+    Ok(Entry { name, title, effect: Some(Effect::RoughRefraction), mesh, scene, samples_per_pixel: 25 })
 }
 
 fn absorption(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
@@ -281,7 +281,7 @@ fn absorption(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
     mesh.ball(amber, [1.25, 0.4, 0.2], 0.4);
     let scene = Scene::new(camera([0.4, 1.9, 4.6], [0.05, 0.38, 0.0], 36.0)?).with_environment(sky(budget)?);
     let (name, title) = ("absorption", "The same green glass, thin and thick, and amber");
-    Ok(Entry { name, title, effect: Some(Effect::Absorption), mesh, scene, samples_per_pixel: 36 })
+    Ok(Entry { name, title, effect: Some(Effect::Absorption), mesh, scene, samples_per_pixel: 16 })
 }
 
 fn nested(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
@@ -309,7 +309,7 @@ fn nested(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
         "nested-media",
         "Water whose surface coincides with that of its glass, and ice that overlaps both water and air",
     );
-    Ok(Entry { name, title, effect: Some(Effect::NestedMedia), mesh, scene, samples_per_pixel: 36 })
+    Ok(Entry { name, title, effect: Some(Effect::NestedMedia), mesh, scene, samples_per_pixel: 9 })
 }
 
 fn interreflection() -> Result<Entry, Box<dyn Error>> {
@@ -326,7 +326,7 @@ fn interreflection() -> Result<Entry, Box<dyn Error>> {
         .with_interreflection()
         .with_light(panel([0.0, 2.8, 0.6], 1.2, 1.2, [7.0, 6.8, 6.4]));
     let (name, title) = ("interreflection", "Colour that one wall casts on another");
-    Ok(Entry { name, title, effect: Some(Effect::Interreflection), mesh, scene, samples_per_pixel: 100 })
+    Ok(Entry { name, title, effect: Some(Effect::Interreflection), mesh, scene, samples_per_pixel: 64 })
 }
 
 /// Posts and balls in a row away from the viewer.
@@ -386,7 +386,7 @@ fn cornell_box() -> Result<Entry, Box<dyn Error>> {
         .with_interreflection()
         .with_light(panel([0.5, 0.9999, 0.5], 0.24, 0.19, [17.0, 12.0, 4.0]));
     let (name, title) = ("cornell-box", "The Cornell box");
-    Ok(Entry { name, title, effect: None, mesh, scene, samples_per_pixel: 144 })
+    Ok(Entry { name, title, effect: None, mesh, scene, samples_per_pixel: 64 })
 }
 
 /// A room with a window, lit by the sky alone but for a lamp.
@@ -441,5 +441,5 @@ fn interior(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
         .with_light(Light::area(bulb, [9.0, 6.2, 3.4]))
         .with_finish("table", Finish::rough(0.35));
     let (name, title) = ("interior", "A room lit by the sky through a window and by one lamp");
-    Ok(Entry { name, title, effect: None, mesh, scene, samples_per_pixel: 100 })
+    Ok(Entry { name, title, effect: None, mesh, scene, samples_per_pixel: 49 })
 }
