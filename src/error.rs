@@ -365,6 +365,14 @@ pub enum RenderError {
         /// What is wrong with it.
         reason: String,
     },
+    /// An image or a scene file could not be read.
+    #[error("cannot read {}: {reason}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The cause, and what to do.
+        reason: String,
+    },
     /// The image file could not be written.
     #[error("cannot write {}: {error}", path.display())]
     Write {

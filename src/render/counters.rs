@@ -17,10 +17,38 @@ pub struct EffectCounters {
     pub reflection_rays: u64,
     /// Rays that passed a surface, refracted or straight.
     pub transmission_rays: u64,
+    /// Rays that left a rough mirror.
+    pub glossy_rays: u64,
+    /// Rays that left rough glass, reflected or refracted.
+    pub frosted_rays: u64,
+    /// Rays that left a surface by diffuse reflection.
+    pub bounce_rays: u64,
+    /// Queries for surfaces that coincide with the border of a medium.
+    pub medium_rays: u64,
     /// Rays of forced effects that could not matter.
     pub forced_rays: u64,
+    /// Points of lights with extent that were sampled.
+    pub area_light_samples: u64,
+    /// Rays that crossed a light with extent and gathered its radiance.
+    pub light_crossings: u64,
+    /// Directions to the environment that were sampled.
+    pub environment_samples: u64,
+    /// Segments of paths and of shadow rays that lost light inside a transparent body.
+    pub absorbed_segments: u64,
+    /// Surfaces that were no border because they lie inside a stronger body.
+    pub passed_surfaces: u64,
+    /// Bodies not told apart because too many overlap. Not zero means that refraction may be wrong there.
+    pub medium_overflows: u64,
+    /// Camera rays through a sampled point of the lens.
+    pub lens_rays: u64,
+    /// Camera rays at a sampled time.
+    pub shutter_rays: u64,
+    /// Random numbers drawn by effects; positions in pixels not counted.
+    pub random_numbers: u64,
     /// Rays and lamps not followed because they could not add more than the contribution bound.
     pub contribution_cuts: u64,
+    /// Rays and lamps that Russian roulette ended.
+    pub roulette_ends: u64,
     /// Rays not followed because their sample's work budget was spent. Not zero means that light is missing.
     pub work_cuts: u64,
 }
@@ -28,6 +56,19 @@ pub struct EffectCounters {
 impl EffectCounters {
     /// Adds `other` to every field.
     pub fn merge(&mut self, other: &EffectCounters) {
+        for ((_, sum), (_, count)) in self.fields_mut().into_iter().zip(other.fields()) {
+            *sum += count;
+        }
+    }
+
+    /// Every counter with its name.
+    pub fn fields(&self) -> [(&'static str, u64); 23] {
+        let mut copy = *self;
+        copy.fields_mut().map(|(name, count)| (name, *count))
+    }
+
+    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 23] {
+        // Taken apart, so that a new counter cannot be forgotten.
         let EffectCounters {
             samples,
             primary_rays,
@@ -35,19 +76,49 @@ impl EffectCounters {
             shadow_segments,
             reflection_rays,
             transmission_rays,
+            glossy_rays,
+            frosted_rays,
+            bounce_rays,
+            medium_rays,
             forced_rays,
+            area_light_samples,
+            light_crossings,
+            environment_samples,
+            absorbed_segments,
+            passed_surfaces,
+            medium_overflows,
+            lens_rays,
+            shutter_rays,
+            random_numbers,
             contribution_cuts,
+            roulette_ends,
             work_cuts,
-        } = other;
-        self.samples += samples;
-        self.primary_rays += primary_rays;
-        self.shadow_rays += shadow_rays;
-        self.shadow_segments += shadow_segments;
-        self.reflection_rays += reflection_rays;
-        self.transmission_rays += transmission_rays;
-        self.forced_rays += forced_rays;
-        self.contribution_cuts += contribution_cuts;
-        self.work_cuts += work_cuts;
+        } = self;
+        [
+            ("samples", samples),
+            ("primary_rays", primary_rays),
+            ("shadow_rays", shadow_rays),
+            ("shadow_segments", shadow_segments),
+            ("reflection_rays", reflection_rays),
+            ("transmission_rays", transmission_rays),
+            ("glossy_rays", glossy_rays),
+            ("frosted_rays", frosted_rays),
+            ("bounce_rays", bounce_rays),
+            ("medium_rays", medium_rays),
+            ("forced_rays", forced_rays),
+            ("area_light_samples", area_light_samples),
+            ("light_crossings", light_crossings),
+            ("environment_samples", environment_samples),
+            ("absorbed_segments", absorbed_segments),
+            ("passed_surfaces", passed_surfaces),
+            ("medium_overflows", medium_overflows),
+            ("lens_rays", lens_rays),
+            ("shutter_rays", shutter_rays),
+            ("random_numbers", random_numbers),
+            ("contribution_cuts", contribution_cuts),
+            ("roulette_ends", roulette_ends),
+            ("work_cuts", work_cuts),
+        ]
     }
 
     /// All rays that were traced.
@@ -57,6 +128,10 @@ impl EffectCounters {
             + self.shadow_segments
             + self.reflection_rays
             + self.transmission_rays
+            + self.glossy_rays
+            + self.frosted_rays
+            + self.bounce_rays
+            + self.medium_rays
             + self.forced_rays
     }
 }

@@ -5,14 +5,22 @@
 //! not shared. An effect that the [`EffectPlan`](crate::scene::EffectPlan) leaves out makes no ray (I6). An error
 //! in a query ends the render; there is never a hole in a picture that was returned as complete.
 
+mod bounce;
+mod bound;
 mod counters;
 mod film;
+mod glossy;
+mod hot;
 mod image;
 mod json;
+mod lamps;
+mod layers;
+mod media;
 mod optics;
 mod paths;
 mod progress;
 mod query;
+mod random;
 mod region;
 mod renderer;
 mod report;
@@ -27,13 +35,14 @@ pub use crate::compile::{Control, Threads};
 pub use counters::EffectCounters;
 pub use film::Film;
 pub use image::ImageFormat;
+pub use layers::{LayerPixel, Layers};
 pub use progress::Progress;
 pub(crate) use region::Canvas;
 pub use region::{Region, RegionRenderer};
 pub use renderer::{RenderedImage, Renderer};
 pub use report::{Outcome, RenderReport, WorkerSeconds};
 pub use sampling::Filter;
-pub use settings::RenderSettings;
+pub use settings::{PathEnd, RenderSettings};
 
 #[cfg(test)]
 mod tests;

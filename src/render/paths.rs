@@ -9,12 +9,18 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use super::bounce::{Walk, bounce};
 use super::counters::EffectCounters;
+use super::glossy;
+use super::hot::{EffectsOfLoop, Matt, Sampled, Whitted};
+use super::lamps::{Lobes, Scatter, highlight};
+use super::media::{Border, Borders};
 use super::optics::{absorb, reflect, split};
 use super::query::RayQuery;
+use super::random::Dimension;
 use super::report::WorkerSeconds;
 use super::shadows::ShadowBatch;
-use super::stage::{Shader, Stage};
+use super::stage::{CameraSample, Loop, Shader, Stage};
 use crate::error::TraceError;
 use crate::geom::{Ray, offset_origin};
 use crate::trace::Hit;
@@ -23,8 +29,9 @@ use crate::units::MaterialId;
 /// How a ray came about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
-    Reflection,
     Transmission,
+    Reflection,
+    Bounce,
 }
 
 /// The ray of a sample that is about to be traced; the ray itself stands beside it in a list of its own.
@@ -46,17 +53,17 @@ struct Waiting {
 
 /// A hit that is being shaded.
 #[derive(Clone, Copy, Debug)]
-struct Point {
-    slot: u32,
-    material: MaterialId,
-    throughput: DVec3,
-    position: DVec3,
+pub(super) struct Point {
+    pub slot: u32,
+    pub material: MaterialId,
+    pub throughput: DVec3,
+    pub position: DVec3,
     /// Unit, on the side from which the ray came.
-    normal: DVec3,
+    pub normal: DVec3,
     /// Start of rays on that side.
-    origin: [f64; 3],
+    pub origin: [f64; 3],
     /// Unit, back along the ray.
-    view: DVec3,
+    pub view: DVec3,
 }
 
 /// A ray that a hit spawns.
@@ -66,11 +73,23 @@ struct Child {
     direction: DVec3,
     throughput: DVec3,
     origin: [f64; 3],
+    /// How its direction came about.
+    course: Course,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Course {
+    /// As the ray came.
+    Straight,
+    /// By the law of reflection or refraction.
+    Lawful,
+    /// By luck, with this density over solid angle.
+    Sampled(f64),
 }
 
 /// Traces batches of samples; one per thread.
 pub(crate) struct PathTracer<'s, Q> {
-    stage: &'s Stage,
+    pub(super) stage: &'s Stage,
     pub query: Q,
     pub counters: EffectCounters,
     pub seconds: WorkerSeconds,
@@ -79,15 +98,22 @@ pub(crate) struct PathTracer<'s, Q> {
     next_heads: Vec<Head>,
     next_rays: Vec<Ray>,
     hits: Vec<Option<Hit>>,
-    points: Vec<Point>,
+    pub(super) points: Vec<Point>,
     /// `stack_depth` places per slot.
     waiting: Vec<Option<Waiting>>,
     waiting_counts: Vec<u8>,
     stack_depth: usize,
-    radiance: Vec<DVec3>,
-    shadows: ShadowBatch,
+    pub(super) radiance: Vec<DVec3>,
+    pub(super) shadows: ShadowBatch,
     /// Rays of forced effects that cannot matter.
     forced: Vec<Ray>,
+    /// One beside each of `heads`, `next_heads`, `points` and `waiting`, in loops that sample effects; empty in others.
+    walks: Vec<Walk>,
+    next_walks: Vec<Walk>,
+    pub(super) scatters: Vec<Scatter>,
+    waiting_walks: Vec<Option<Walk>>,
+    /// Of nested media.
+    borders: Borders,
 }
 
 /// Sizes of the lists, all fixed by the settings.
@@ -97,22 +123,36 @@ struct Sizes {
     stack_depth: usize,
     shadows: usize,
     forced: usize,
+    /// Places of the lists that only loops with sampled effects have.
+    walks: usize,
+    borders: usize,
 }
 
 impl Sizes {
     fn of(stage: &Stage) -> Sizes {
         let batch = stage.settings.batch_samples.min(tile_samples_max(stage)) as usize;
         let lamps = stage.emitters.len().clamp(1, 4);
+        let is_sampled = stage.path_loop == Loop::Sampled;
+        let has_shadows = stage.shadows || stage.force_shadows || stage.samples_lights();
+        let halvings = stage.settings.work_budget.ilog2() as usize + 1;
         Sizes {
             batch,
-            // Only a surface that both passes and reflects can split a ray.
-            stack_depth: if stage.transmission && stage.reflection {
-                stage.settings.work_budget.ilog2() as usize + 1
+            stack_depth: match (stage.transmission && stage.reflection, stage.interreflection) {
+                // Only a surface that both passes and reflects can split a ray in two.
+                (true, false) => halvings,
+                // Two rays wait while a third one with at most a third of the work goes on: less than log2, twice.
+                (_, true) if stage.transmission || stage.reflection => 2 * halvings,
+                _ => 0,
+            },
+            shadows: if has_shadows { batch * lamps } else { 0 },
+            forced: if stage.force_reflection || stage.force_transmission || stage.forces_a_sampled_effect() {
+                // At most one for each forced effect and sample.
+                7 * batch
             } else {
                 0
             },
-            shadows: if stage.shadows || stage.force_shadows { batch * lamps } else { 0 },
-            forced: if stage.force_reflection || stage.force_transmission { 2 * batch } else { 0 },
+            walks: if is_sampled { batch } else { 0 },
+            borders: if stage.nested || stage.force_nested { batch } else { 0 },
         }
     }
 }
@@ -137,42 +177,81 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             radiance: Vec::with_capacity(sizes.batch),
             shadows: ShadowBatch::new(sizes.shadows, stage.transparent.is_some()),
             forced: Vec::with_capacity(sizes.forced),
+            walks: Vec::with_capacity(sizes.walks),
+            next_walks: Vec::with_capacity(sizes.walks),
+            scatters: Vec::with_capacity(sizes.walks),
+            waiting_walks: vec![None; if sizes.walks > 0 { sizes.batch * sizes.stack_depth } else { 0 }],
+            borders: Borders::new(sizes.borders),
         }
     }
 
-    /// Radiance of each camera ray, in their order. At most `batch_samples` rays.
+    /// Radiance of each sample, in their order. At most `batch_samples` samples.
     ///
     /// # Errors
     /// Those of the query; nothing that was computed is to be used then.
-    pub fn trace(&mut self, camera_rays: impl Iterator<Item = Ray>) -> Result<&[DVec3], TraceError> {
+    pub fn trace(&mut self, samples: impl Iterator<Item = CameraSample>) -> Result<&[DVec3], TraceError> {
+        // Decided once per batch; inside, what a loop does not know is not there (I6).
+        match self.stage.path_loop {
+            Loop::Matt => self.trace_in::<Matt>(samples),
+            Loop::Whitted => self.trace_in::<Whitted>(samples),
+            Loop::Sampled => self.trace_in::<Sampled>(samples),
+        }
+    }
+
+    fn trace_in<E: EffectsOfLoop>(
+        &mut self,
+        samples: impl Iterator<Item = CameraSample>,
+    ) -> Result<&[DVec3], TraceError> {
         self.heads.clear();
         self.rays.clear();
+        self.walks.clear();
         self.radiance.clear();
         let work = self.stage.settings.work_budget;
-        for (slot, ray) in camera_rays.enumerate() {
+        for (slot, CameraSample { key, ray }) in samples.enumerate() {
             self.rays.push(ray);
             self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
+            if E::SAMPLED {
+                self.walks.push(Walk::start(key));
+                // A lens of radius 0 and a camera at rest see what the camera sees.
+                let forced = [self.stage.force_lens, self.stage.force_shutter];
+                self.forced.extend(forced.into_iter().filter(|forced| *forced).map(|_| ray));
+            }
         }
+        let count = self.heads.len() as u64;
         self.radiance.resize(self.heads.len(), DVec3::ZERO);
-        self.counters.samples += self.heads.len() as u64;
-        self.counters.primary_rays += self.heads.len() as u64;
+        self.counters.samples += count;
+        self.counters.primary_rays += count;
+        if self.stage.view.has_lens() {
+            self.counters.lens_rays += count;
+            self.counters.random_numbers += 2 * count;
+        }
+        if self.stage.view.is_moving() {
+            self.counters.shutter_rays += count;
+            self.counters.random_numbers += count;
+        }
         while !self.heads.is_empty() {
-            self.step()?;
+            self.step::<E>()?;
         }
         Ok(&self.radiance)
     }
 
     /// Traces the head of every live sample, shades what was hit and moves each sample to the next ray of its tree.
-    fn step(&mut self) -> Result<(), TraceError> {
+    fn step<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
         let start = Instant::now();
         let hits = &mut self.hits[..self.rays.len()];
         self.query.closest_hits(&self.rays, hits)?;
+        if E::SAMPLED && (self.stage.nested || self.stage.force_nested) {
+            self.find_borders()?;
+        }
         let traced = Instant::now();
         self.seconds.paths += (traced - start).as_secs_f64();
-        self.shade();
+        self.shade::<E>();
         self.seconds.shading += traced.elapsed().as_secs_f64();
         if self.stage.direct {
-            self.light()?;
+            self.light::<E>()?;
+        }
+        if E::SAMPLED {
+            self.light_by_samples()?;
         }
         if !self.forced.is_empty() {
             let forced = &self.forced;
@@ -183,36 +262,97 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         }
         std::mem::swap(&mut self.heads, &mut self.next_heads);
         std::mem::swap(&mut self.rays, &mut self.next_rays);
+        if E::SAMPLED {
+            std::mem::swap(&mut self.walks, &mut self.next_walks);
+        }
+        Ok(())
+    }
+
+    /// Finds the borders of nested media at the hits; if they are only forced, for nothing.
+    fn find_borders(&mut self) -> Result<(), TraceError> {
+        let media = self.walks.iter().map(|walk| walk.media);
+        let count = self.rays.len();
+        let hits = &mut self.hits[..count];
+        if self.stage.nested {
+            return self.borders.find(
+                self.stage,
+                &mut self.query,
+                &self.rays,
+                media,
+                hits,
+                &mut self.counters,
+            );
+        }
+        let mut hits: Vec<_> = hits.to_vec();
+        let mut counters = EffectCounters::default();
+        self.borders.find(self.stage, &mut self.query, &self.rays, media, &mut hits, &mut counters)?;
+        self.counters.forced_rays += counters.medium_rays;
         Ok(())
     }
 
     /// Adds background, emission and ambient light, lists the points to be lit, and spawns children.
-    fn shade(&mut self) {
+    fn shade<E: EffectsOfLoop>(&mut self) {
         self.points.clear();
+        self.scatters.clear();
         self.next_heads.clear();
         self.next_rays.clear();
+        self.next_walks.clear();
+        let stage = self.stage;
         for index in 0..self.heads.len() {
             let mut head = self.heads[index];
             let slot = head.slot as usize;
+            let border = if E::SAMPLED && stage.nested { Some(self.borders.borders[index]) } else { None };
+            let inside = border.and_then(|border| border.before);
             let Some(hit) = self.hits[index] else {
-                self.radiance[slot] += head.throughput * self.stage.background;
-                self.advance_from_stack(head.slot);
+                if E::SAMPLED {
+                    let (ray, walk) = (self.rays[index], self.walks[index]);
+                    let medium = inside.map_or(DVec3::ZERO, |medium| stage.shader(medium).absorption);
+                    let mut seen = self.gathered(&ray, &walk, f64::INFINITY, medium);
+                    seen += self.seen_beyond(&ray, &walk) * absorb(medium, f64::INFINITY);
+                    self.radiance[slot] += head.throughput * seen;
+                } else {
+                    self.radiance[slot] += head.throughput * stage.background;
+                }
+                self.advance_from_stack::<E>(head.slot);
                 continue;
             };
-            let shader = self.stage.shader(hit.material);
+            let shader = stage.shader(hit.material);
             let direction = DVec3::from_array(self.rays[index].direction);
             let geometric = DVec3::from_array(hit.normal());
             let is_behind = geometric.dot(direction) > 0.0;
             // The normal of a needle may vanish in rounding; then the surface is taken to face the ray.
             let normal = geometric.try_normalize().map_or(-direction, |n| if is_behind { -n } else { n });
-            if is_behind && shader.transmission > 0.0 {
-                // The segment that ends here ran through the inside.
-                head.throughput *= absorb(shader.absorption, hit.t);
-            }
-            self.radiance[slot] += head.throughput * (shader.emission + shader.diffuse * self.stage.ambient);
-            let origin_on = |side: DVec3| {
-                offset_origin(hit.position(), hit.position_error(), hit.normal(), side.to_array())
+            // The segment that ends here ran through the inside.
+            let medium = match inside {
+                Some(medium) => stage.shader(medium).absorption,
+                None if border.is_none() && is_behind && shader.transmission > 0.0 => shader.absorption,
+                None => DVec3::ZERO,
             };
+            if E::SAMPLED && !stage.areas.is_empty() {
+                let (ray, walk) = (self.rays[index], self.walks[index]);
+                let gathered = self.gathered(&ray, &walk, hit.t, medium);
+                self.radiance[slot] += head.throughput * gathered;
+            }
+            if E::SECONDARY && medium != DVec3::ZERO {
+                self.counters.absorbed_segments += 1;
+                head.throughput *= absorb(medium, hit.t);
+            }
+            let error = border.map_or(0.0, |border| border.error).max(hit.position_error());
+            let origin_on = |side: DVec3| offset_origin(hit.position(), error, hit.normal(), side.to_array());
+            if E::SAMPLED && border.is_some_and(|border| border.is_none()) {
+                // Two bodies overlap, and this surface is inside the stronger one.
+                self.counters.passed_surfaces += 1;
+                let child = Child {
+                    kind: Kind::Transmission,
+                    direction,
+                    throughput: head.throughput,
+                    origin: origin_on(-normal),
+                    course: Course::Straight,
+                };
+                self.follow::<E>(index, &head, normal, [Some(child), None, None]);
+                continue;
+            }
+            self.radiance[slot] += head.throughput * (shader.emission + shader.diffuse * stage.ambient);
             let point = Point {
                 slot: head.slot,
                 material: hit.material,
@@ -222,20 +362,33 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 origin: origin_on(normal),
                 view: -direction,
             };
-            if self.stage.direct && (shader.is_lit || self.stage.force_shadows) {
+            let is_lit = stage.direct || E::SAMPLED && stage.samples_lights();
+            let eta =
+                if E::SECONDARY { index_ratio(stage, shader, border.as_ref(), is_behind) } else { None };
+            let is_forced =
+                stage.force_shadows || E::SAMPLED && (stage.force_areas || stage.force_environment);
+            if is_lit && (shader.is_lit || is_forced) {
                 self.points.push(point);
+                if E::SAMPLED {
+                    let walk = self.walks[index];
+                    let vertex = walk.vertex;
+                    self.scatters.push(Scatter { walk, vertex, far_origin: origin_on(-normal), eta });
+                }
             }
-            self.spawn(&head, shader, &point, is_behind, || origin_on(-normal));
+            if E::SECONDARY {
+                self.spawn::<E>(index, &head, shader, &point, eta, || origin_on(-normal));
+            }
         }
     }
 
     /// Decides which rays leave `point`, and makes one the sample's next head.
-    fn spawn(
+    fn spawn<E: EffectsOfLoop>(
         &mut self,
+        index: usize,
         head: &Head,
         shader: &Shader,
         point: &Point,
-        is_behind: bool,
+        eta: Option<f64>,
         far_origin: impl Fn() -> [f64; 3],
     ) {
         let stage = self.stage;
@@ -243,104 +396,274 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         let mut reflected = shader.mirror;
         let mut transmitted = shader.transmission;
         let mut onward = Some(direction);
-        if shader.transmission > 0.0 && shader.refractive_index != 1.0 {
-            let index = shader.refractive_index;
-            let fresnel = split(direction, point.normal, if is_behind { index } else { 1.0 / index });
+        let mut away = None;
+        // Whether the direction onward is that of the ray; and the densities of directions found by luck.
+        let mut course = [if eta.is_some() { Course::Lawful } else { Course::Straight }, Course::Lawful];
+        let mut facet = point.normal;
+        let is_rough = E::SAMPLED && shader.alpha > 0.0;
+        if is_rough {
+            let walk = &self.walks[index];
+            let uv = walk.key.pair(walk.vertex, Dimension::Microfacet);
+            self.counters.random_numbers += 2;
+            facet = glossy::sample_facet(point.normal, point.view, shader.alpha, uv);
+        }
+        if let Some(eta) = eta {
+            let fresnel = split(direction, facet, eta);
             reflected += DVec3::splat(shader.transmission * fresnel.reflectance);
             transmitted = shader.transmission * (1.0 - fresnel.reflectance);
             onward = fresnel.refracted;
         }
-        let remaining = head.work - 1;
-        let candidate = |kind: Kind, weight: DVec3| {
-            let throughput = head.throughput * weight;
-            let worth = stage.is_worth_following(throughput, remaining.max(1));
-            (kind, throughput, throughput.max_element() > 0.0, worth)
-        };
-        let candidates = [
-            candidate(Kind::Transmission, DVec3::splat(if onward.is_some() { transmitted } else { 0.0 })),
-            candidate(Kind::Reflection, if stage.reflection { reflected } else { DVec3::ZERO }),
+        if is_rough {
+            let (normal, view, alpha) = (point.normal, point.view, shader.alpha);
+            let mirrored = reflect(direction, facet);
+            let lobe = glossy::reflection(normal, view, alpha, mirrored, None);
+            reflected *= lobe.map_or(0.0, |lobe| lobe.weight);
+            (away, course[1]) = (Some(mirrored), Course::Sampled(lobe.map_or(0.0, |lobe| lobe.density)));
+            if let (Some(eta), Some(refracted)) = (eta, onward) {
+                let lobe = glossy::refraction(normal, view, alpha, refracted, eta);
+                transmitted *= lobe.map_or(0.0, |lobe| lobe.weight);
+                course[0] = Course::Sampled(lobe.map_or(0.0, |lobe| lobe.density));
+            }
+        }
+        let mut candidates = [
+            (Kind::Transmission, DVec3::splat(if onward.is_some() { transmitted } else { 0.0 })),
+            (Kind::Reflection, if stage.reflection { reflected } else { DVec3::ZERO }),
+            (Kind::Bounce, DVec3::ZERO),
         ];
-        let mut children: [Option<Child>; 2] = [None; 2];
-        for (child, (kind, throughput, carries, worth)) in children.iter_mut().zip(candidates) {
-            let make = || match kind {
-                Kind::Transmission => {
-                    Child { kind, direction: onward.unwrap_or(direction), throughput, origin: far_origin() }
-                }
+        let mut bounced = None;
+        if E::SAMPLED
+            && (stage.interreflection && shader.diffuse != DVec3::ZERO || stage.force_interreflection)
+        {
+            let walk = &self.walks[index];
+            bounced = bounce(point.normal, walk.key.pair(walk.vertex, Dimension::Bounce));
+            if stage.interreflection && shader.diffuse != DVec3::ZERO {
+                self.counters.random_numbers += 2;
+                candidates[2].1 = if bounced.is_some() { shader.diffuse } else { DVec3::ZERO };
+            }
+        }
+        let remaining = head.work - 1;
+        let mut children: [Option<Child>; 3] = [None; 3];
+        for (place, (kind, weight)) in candidates.into_iter().enumerate() {
+            if !E::SAMPLED && kind == Kind::Bounce {
+                break;
+            }
+            let throughput = head.throughput * weight;
+            let make = |throughput: DVec3| match kind {
+                Kind::Transmission => Child {
+                    kind,
+                    direction: onward.unwrap_or(direction),
+                    throughput,
+                    origin: far_origin(),
+                    course: course[0],
+                },
                 Kind::Reflection => Child {
                     kind,
-                    direction: reflect(direction, point.normal),
+                    direction: away.unwrap_or_else(|| reflect(direction, point.normal)),
                     throughput,
                     origin: point.origin,
+                    course: course[1],
                 },
+                Kind::Bounce => {
+                    let (direction, density) = bounced.unwrap_or((point.normal, 0.0));
+                    Child {
+                        kind,
+                        direction,
+                        throughput,
+                        origin: point.origin,
+                        course: Course::Sampled(density),
+                    }
+                }
             };
-            if worth {
-                *child = Some(make());
+            if stage.is_worth_following(throughput, remaining.max(1)) {
+                children[place] = Some(make(throughput));
                 continue;
             }
-            self.counters.contribution_cuts += u64::from(carries);
-            let forced =
-                if kind == Kind::Transmission { stage.force_transmission } else { stage.force_reflection };
+            let carries = throughput.max_element() > 0.0;
+            if E::SAMPLED && stage.roulette && carries {
+                let (walk, bound) = (&self.walks[index], stage.settings.contribution_bound);
+                let most = stage.contribution_max(throughput, remaining.max(1));
+                self.counters.random_numbers += 1;
+                if walk.key.one(walk.vertex, Dimension::Roulette(place as u32)) * bound < most {
+                    children[place] = Some(make(throughput * (bound / most)));
+                    continue;
+                }
+                self.counters.roulette_ends += 1;
+            } else {
+                self.counters.contribution_cuts += u64::from(carries);
+            }
+            let forced = match kind {
+                Kind::Transmission => stage.force_transmission,
+                Kind::Reflection => stage.force_reflection,
+                Kind::Bounce => stage.force_interreflection && !stage.interreflection,
+            };
             if forced {
-                let child = make();
+                let child = make(throughput);
                 self.forced.push(Ray::new(child.origin, child.direction.to_array()));
             }
         }
-        self.follow(head.slot, remaining, children);
+        if E::SAMPLED {
+            self.force_rough(index, shader, point, eta);
+            if self.walks[index].has_bounced {
+                self.choose(index, &mut children);
+            }
+        }
+        self.follow::<E>(index, head, point.normal, children);
     }
 
-    /// Divides `work` among the children by the square root of their throughput: by throughput itself faint but long
-    /// chains starve, in equal parts the main path through a stack of panes does. The child with less work becomes the sample's head and
-    /// the other waits: so the head's work at least halves whenever a ray comes to wait, which bounds the stack.
-    fn follow(&mut self, slot: u32, work: u64, children: [Option<Child>; 2]) {
-        let [first, second] = match children {
-            [Some(a), Some(b)] if work >= 2 => {
-                let (a_weight, b_weight) =
-                    (a.throughput.max_element().sqrt(), b.throughput.max_element().sqrt());
-                let share = (work as f64 * (a_weight / (a_weight + b_weight))) as u64;
-                let a_work = share.clamp(1, work - 1);
-                let pair = [(a, a_work), (b, work - a_work)];
-                if pair[0].1 <= pair[1].1 { pair.map(Some) } else { [Some(pair[1]), Some(pair[0])] }
+    /// Of several rays one goes on, by luck in proportion to what they carry, and carries for all: after a diffuse bounce a
+    /// tree would cost more than it is worth.
+    fn choose(&mut self, index: usize, children: &mut [Option<Child>; 3]) {
+        let weights = children.map(|child| child.map_or(0.0, |child| child.throughput.max_element()));
+        let total: f64 = weights.iter().sum();
+        if children.iter().flatten().count() < 2 {
+            return;
+        }
+        let walk = &self.walks[index];
+        let mut rest = walk.key.one(walk.vertex, Dimension::Choice) * total;
+        self.counters.random_numbers += 1;
+        let mut chosen = None;
+        for (child, weight) in children.iter().zip(weights) {
+            if weight == 0.0 {
+                continue;
             }
-            // One ray is left: the child that carries more has it.
-            [Some(a), Some(b)] => {
-                self.counters.work_cuts += 1;
-                let heavier = if b.throughput.max_element() > a.throughput.max_element() { b } else { a };
-                [Some((heavier, work)), None]
+            chosen = child.map(|child| Child { throughput: child.throughput * (total / weight), ..child });
+            if rest < weight {
+                break;
             }
-            [Some(only), None] | [None, Some(only)] => [Some((only, work)), None],
-            [None, None] => [None, None],
-        };
-        if let Some((child, work)) = second {
-            let place = slot as usize * self.stack_depth + usize::from(self.waiting_counts[slot as usize]);
-            let ray = self.count_ray(&child);
-            self.waiting[place] = Some(Waiting { ray, work, throughput: child.throughput });
+            rest -= weight;
+        }
+        *children = [chosen, None, None];
+    }
+
+    /// Traces the rays of rough surfaces for nothing where they are only forced.
+    fn force_rough(&mut self, index: usize, shader: &Shader, point: &Point, eta: Option<f64>) {
+        /// Any roughness will do.
+        const ALPHA: f64 = 0.25;
+        if !(self.stage.force_glossy || self.stage.force_frosted) || shader.alpha > 0.0 {
+            return;
+        }
+        let walk = &self.walks[index];
+        let uv = walk.key.pair(walk.vertex, Dimension::Microfacet);
+        let facet = glossy::sample_facet(point.normal, point.view, ALPHA, uv);
+        let directions = [
+            (self.stage.force_glossy, Some(reflect(-point.view, facet))),
+            (self.stage.force_frosted, split(-point.view, facet, eta.unwrap_or(1.0 / 1.5)).refracted),
+        ];
+        for (_, direction) in directions.into_iter().filter(|(forced, _)| *forced) {
+            let direction = direction.unwrap_or(point.normal);
+            self.forced.push(Ray::new(point.origin, direction.to_array()));
+        }
+    }
+
+    /// Divides the work that is left among the children by the square root of their throughput: by throughput itself faint but
+    /// long chains starve, in equal parts the main path through a stack of panes does. The child with least work becomes the
+    /// sample's head and the others wait: so the head's work at least halves whenever a ray comes to wait, which bounds the
+    /// stack.
+    fn follow<E: EffectsOfLoop>(
+        &mut self,
+        index: usize,
+        head: &Head,
+        normal: DVec3,
+        children: [Option<Child>; 3],
+    ) {
+        let (slot, work) = (head.slot, head.work - 1);
+        let mut rays: smallvec::SmallVec<[(Child, u64); 3]> =
+            children.into_iter().flatten().map(|child| (child, work)).collect();
+        // Too little work for all: those that carry most have it.
+        while rays.len() > 1 && (rays.len() as u64) > work {
+            self.counters.work_cuts += 1;
+            let carried = |ray: &(Child, u64)| ray.0.throughput.max_element();
+            let least = (1..rays.len())
+                .fold(0, |least, ray| if carried(&rays[ray]) <= carried(&rays[least]) { ray } else { least });
+            rays.remove(least);
+        }
+        if rays.len() > 1 {
+            let weights: smallvec::SmallVec<[f64; 3]> =
+                rays.iter().map(|(child, _)| child.throughput.max_element().sqrt()).collect();
+            let (total, count) = (weights.iter().sum::<f64>(), rays.len() as u64);
+            let mut left = work;
+            let last = rays.len() - 1;
+            for (place, weight) in weights.iter().enumerate().take(last) {
+                // At least one ray for each of the others.
+                let others = count - 1 - place as u64;
+                let share = ((work as f64 * (weight / total)) as u64).clamp(1, left - others);
+                rays[place].1 = share;
+                left -= share;
+            }
+            rays[last].1 = left;
+            rays.sort_by_key(|(_, share)| *share);
+        }
+        let place = slot as usize * self.stack_depth;
+        for (child, share) in rays.iter().skip(1).rev() {
+            let ray = self.count_ray::<E>(index, child);
+            let place = place + usize::from(self.waiting_counts[slot as usize]);
+            self.waiting[place] = Some(Waiting { ray, work: *share, throughput: child.throughput });
+            if E::SAMPLED {
+                self.waiting_walks[place] = Some(self.walk_on(index, normal, child));
+            }
             self.waiting_counts[slot as usize] += 1;
         }
-        match first {
-            Some((child, work)) if work > 0 => {
-                let ray = self.count_ray(&child);
+        match rays.first() {
+            Some((child, share)) if *share > 0 => {
+                let ray = self.count_ray::<E>(index, child);
                 self.next_rays.push(ray);
-                self.next_heads.push(Head { slot, work, throughput: child.throughput });
+                self.next_heads.push(Head { slot, work: *share, throughput: child.throughput });
+                if E::SAMPLED {
+                    let walk = self.walk_on(index, normal, child);
+                    self.next_walks.push(walk);
+                }
             }
             cut => {
                 self.counters.work_cuts += u64::from(cut.is_some());
-                self.advance_from_stack(slot);
+                self.advance_from_stack::<E>(slot);
             }
         }
     }
 
-    fn count_ray(&mut self, child: &Child) -> Ray {
-        match child.kind {
-            Kind::Reflection => self.counters.reflection_rays += 1,
-            Kind::Transmission => self.counters.transmission_rays += 1,
+    fn count_ray<E: EffectsOfLoop>(&mut self, index: usize, child: &Child) -> Ray {
+        let counters = &mut self.counters;
+        match (child.kind, child.course) {
+            (Kind::Bounce, _) => counters.bounce_rays += 1,
+            (_, Course::Sampled(_)) if E::SAMPLED => {
+                // The hit that it leaves is still there.
+                let is_glass = self.hits[index].is_some_and(|hit| {
+                    let shader = self.stage.shader(hit.material);
+                    shader.transmission > 0.0 && shader.refractive_index != 1.0
+                });
+                *if is_glass { &mut counters.frosted_rays } else { &mut counters.glossy_rays } += 1;
+            }
+            (Kind::Reflection, _) => counters.reflection_rays += 1,
+            (Kind::Transmission, _) => counters.transmission_rays += 1,
         }
         Ray::new(child.origin, child.direction.to_array())
     }
 
+    /// The state of the path of `child`, which leaves the head numbered `index` at a surface with this normal.
+    fn walk_on(&self, index: usize, normal: DVec3, child: &Child) -> Walk {
+        let before = &self.walks[index];
+        let mut walk = Walk { vertex: before.vertex.child(child.kind as u32), ..*before };
+        let goes_through = child.kind == Kind::Transmission;
+        if goes_through && self.stage.nested {
+            let border = &self.borders.borders[index];
+            walk.media = if border.is_medium { border.media } else { walk.media };
+        }
+        match child.course {
+            Course::Straight => {}
+            Course::Lawful => walk.density = 0.0,
+            Course::Sampled(density) => {
+                walk.density = density;
+                walk.from = DVec3::from_array(child.origin);
+                walk.normal = normal;
+            }
+        }
+        walk.has_bounced |= child.kind == Kind::Bounce;
+        walk
+    }
+
     /// Makes the ray that waited last the sample's head; without one the sample is done.
-    fn advance_from_stack(&mut self, slot: u32) {
+    fn advance_from_stack<E: EffectsOfLoop>(&mut self, slot: u32) {
         let count = &mut self.waiting_counts[slot as usize];
-        if *count == 0 {
+        if !E::SECONDARY || *count == 0 {
             return;
         }
         *count -= 1;
@@ -348,44 +671,57 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         if let Some(waiting) = self.waiting[place].take() {
             self.next_rays.push(waiting.ray);
             self.next_heads.push(Head { slot, work: waiting.work, throughput: waiting.throughput });
+            if E::SAMPLED {
+                self.next_walks.extend(self.waiting_walks[place].take());
+            }
         }
     }
 
     /// Adds the light of every lamp at every point, lamp by lamp: rays to one lamp stay together, and each sample
     /// sums its lamps in the scene's order.
-    fn light(&mut self) -> Result<(), TraceError> {
+    fn light<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
         let stage = self.stage;
         let with_rays = stage.shadows || stage.force_shadows;
         let mut start = Instant::now();
-        for emitter in &stage.emitters {
+        for (light, emitter) in (0u32..).zip(&stage.emitters) {
             for index in 0..self.points.len() {
-                let point = &self.points[index];
-                let shader = stage.shader(point.material);
+                let point = self.points[index];
                 let incidence = emitter.incidence(point.position);
-                let cosine = incidence.toward.dot(point.normal);
                 let mut contribution = DVec3::ZERO;
-                if cosine > 0.0 {
-                    let mut response = shader.diffuse * cosine;
-                    if shader.highlight != DVec3::ZERO {
-                        let half = (incidence.toward + point.view).normalize_or_zero();
-                        let alignment = half.dot(point.normal).clamp(0.0, 1.0);
-                        response += shader.highlight * shader.exponent.of(alignment);
+                let mut origin = point.origin;
+                if E::SAMPLED {
+                    let scatter = self.scatters[index];
+                    if incidence.toward.dot(point.normal) < 0.0 {
+                        origin = scatter.far_origin;
                     }
-                    contribution = point.throughput * response * incidence.irradiance;
+                    let response = self.response(&point, &scatter, incidence.toward, None, Lobes::All);
+                    let arriving = point.throughput * response * incidence.irradiance;
+                    contribution =
+                        self.worth_asking(&scatter, arriving, Dimension::PointLightRoulette(light));
+                } else {
+                    let shader = stage.shader(point.material);
+                    let cosine = incidence.toward.dot(point.normal);
+                    if cosine > 0.0 {
+                        let mut response = shader.diffuse * cosine;
+                        if shader.highlight != DVec3::ZERO {
+                            response += highlight(shader, &point, incidence.toward);
+                        }
+                        contribution = point.throughput * response * incidence.irradiance;
+                    }
+                    let largest = contribution.max_element();
+                    if largest <= stage.settings.contribution_bound {
+                        self.counters.contribution_cuts += u64::from(largest > 0.0);
+                        contribution = DVec3::ZERO;
+                    }
                 }
-                let largest = contribution.max_element();
-                if largest <= stage.settings.contribution_bound {
-                    self.counters.contribution_cuts += u64::from(largest > 0.0);
-                    contribution = DVec3::ZERO;
-                    if !stage.force_shadows {
-                        continue;
-                    }
+                if contribution == DVec3::ZERO && !stage.force_shadows {
+                    continue;
                 }
                 if !with_rays {
                     self.radiance[point.slot as usize] += contribution;
                     continue;
                 }
-                let ray = emitter.shadow_ray(point.origin, point.normal);
+                let ray = emitter.shadow_ray(origin, point.normal);
                 self.shadows.push(point.slot, contribution, ray);
                 if self.shadows.is_full() {
                     start = self.resolve_shadows(start)?;
@@ -400,13 +736,27 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     }
 
     /// Resolves the shadow batch; books the time since `start` as shading and the rest as shadows.
-    fn resolve_shadows(&mut self, start: Instant) -> Result<Instant, TraceError> {
+    pub(super) fn resolve_shadows(&mut self, start: Instant) -> Result<Instant, TraceError> {
         let shaded = Instant::now();
         self.seconds.shading += (shaded - start).as_secs_f64();
         self.shadows.resolve(self.stage, &mut self.query, &mut self.radiance, &mut self.counters)?;
         let resolved = Instant::now();
         self.seconds.shadows += (resolved - shaded).as_secs_f64();
         Ok(resolved)
+    }
+}
+
+/// The refractive index on the ray's side over that on the other; none if light goes straight on.
+fn index_ratio(stage: &Stage, shader: &Shader, border: Option<&Border>, is_behind: bool) -> Option<f64> {
+    let index = shader.refractive_index;
+    match border {
+        Some(border) if border.is_medium => {
+            let index = |medium: Option<MaterialId>| medium.map_or(1.0, |m| stage.shader(m).refractive_index);
+            let (before, after) = (index(border.before), index(border.after));
+            (before != after).then(|| before / after)
+        }
+        _ if shader.transmission > 0.0 && index != 1.0 => Some(if is_behind { index } else { 1.0 / index }),
+        _ => None,
     }
 }
 
@@ -427,6 +777,13 @@ pub(crate) fn bytes_needed(stage: &Stage) -> usize {
         + size_of::<u8>()
         + size_of::<DVec3>();
     sizes.batch * per_sample
+        + sizes.walks
+            * (2 * size_of::<Walk>()
+                + size_of::<Scatter>()
+                + sizes.stack_depth * size_of::<Option<Walk>>())
+        // A copy of the hits where nested media are only forced.
+        + Borders::bytes_needed(sizes.borders)
+        + sizes.borders * size_of::<Option<Hit>>()
         + ShadowBatch::bytes_needed(sizes.shadows, stage.transparent.is_some())
         + sizes.forced * (size_of::<Ray>() + size_of::<Option<Hit>>())
 }

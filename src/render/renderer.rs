@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use super::film::Film;
+use super::layers::{Layers, layers};
 use super::query::RayQuery;
 use super::report::{Outcome, RenderReport};
 use super::settings::RenderSettings;
@@ -84,6 +85,16 @@ impl<'a> Renderer<'a> {
         &self.plan
     }
 
+    /// What lies behind each pixel, on the calling thread: one ray per pixel. `progress` is called after each row, which
+    /// counts as a tile.
+    ///
+    /// # Errors
+    /// [`RenderError::Budget`] if the layers do not fit, [`RenderError::Trace`] if a block cannot be brought in,
+    /// [`RenderError::Cancelled`] if `progress` said so.
+    pub fn layers(&self, progress: &mut dyn FnMut(Progress) -> Control) -> Result<Layers, RenderError> {
+        layers(&self.stage, &self.budget, &mut self.octree.tracer()?, progress)
+    }
+
     /// Makes the picture on `threads`. `progress` is called after each batch of samples, by one thread at a time;
     /// answering [`Control::Cancel`] ends the render soon and gives the tiles finished so far.
     ///
@@ -142,6 +153,7 @@ pub(super) fn set(
 ) -> Result<(Stage, EffectPlan), RenderError> {
     scene.validate()?;
     settings.validate()?;
+    scene.validate_finishes(&model.materials)?;
     let plan = EffectPlan::scan(scene, model, &settings.effect_options());
     Ok((Stage::new(scene, &model.materials, &plan, settings), plan))
 }

@@ -87,16 +87,10 @@ impl RenderReport {
     /// The report as one JSON object; names as in the fields.
     pub fn to_json(&self) -> String {
         let effects = &self.effects;
-        let rays = JsonObject::new()
-            .count("samples", effects.samples)
-            .count("primary_rays", effects.primary_rays)
-            .count("shadow_rays", effects.shadow_rays)
-            .count("shadow_segments", effects.shadow_segments)
-            .count("reflection_rays", effects.reflection_rays)
-            .count("transmission_rays", effects.transmission_rays)
-            .count("forced_rays", effects.forced_rays)
-            .count("contribution_cuts", effects.contribution_cuts)
-            .count("work_cuts", effects.work_cuts)
+        let rays = effects
+            .fields()
+            .into_iter()
+            .fold(JsonObject::new(), |object, (name, count)| object.count(name, count))
             .end();
         let trace = &self.trace;
         let queries = JsonObject::new()

@@ -12,6 +12,9 @@ pub enum Filter {
     /// aliasing.
     #[default]
     Tent,
+    /// A Gaussian of standard deviation one half pixel, cut off a pixel and a half away: softest, for pictures that will
+    /// move or be scaled.
+    Gaussian,
 }
 
 /// What a random number is for; part of its key.
@@ -31,7 +34,7 @@ pub(crate) fn hash(seed: u64, pixel: u64, sample: u32, vertex: u32, purpose: Pur
         ^ purpose as u64)
 }
 
-fn mix(mut x: u64) -> u64 {
+pub(super) fn mix(mut x: u64) -> u64 {
     x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ x >> 31
@@ -54,11 +57,12 @@ pub(crate) fn pixel_offset(seed: u64, pixel: u64, sample: u32, count: u32, filte
     match filter {
         Filter::Box => [x, y],
         Filter::Tent => [0.5 + tent(x), 0.5 + tent(y)],
+        Filter::Gaussian => gaussian(x, y).map(|offset| 0.5 + offset),
     }
 }
 
 /// The second dimension of Sobol's sequence: its matrix is Pascal's triangle modulo 2.
-fn sobol_second(index: u32) -> u32 {
+pub(super) fn sobol_second(index: u32) -> u32 {
     let mut result = 0;
     let mut column: u32 = 1 << 31;
     let mut rest = index;
@@ -73,7 +77,7 @@ fn sobol_second(index: u32) -> u32 {
 }
 
 /// Owen scrambling of a 32-bit fraction by the hash of Laine and Karras (constants of Vegdahl).
-fn owen_scramble(bits: u32, seed: u32) -> u32 {
+pub(super) fn owen_scramble(bits: u32, seed: u32) -> u32 {
     let mut x = bits.reverse_bits();
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(seed);
@@ -86,6 +90,16 @@ fn owen_scramble(bits: u32, seed: u32) -> u32 {
 /// Maps 0 .. 1 to -1 .. 1 with tent density; square roots only, so the same on every machine.
 fn tent(u: f64) -> f64 {
     if u < 0.5 { (2.0 * u).sqrt() - 1.0 } else { 1.0 - (2.0 - 2.0 * u).sqrt() }
+}
+
+/// Maps the unit square to a round Gaussian, cut off: the radius by inverting its distribution (Box and Muller 1958).
+fn gaussian(u: f64, v: f64) -> [f64; 2] {
+    const DEVIATION: f64 = 0.5;
+    const RADIUS: f64 = 1.5;
+    let inside = 1.0 - libm::exp(-0.5 * (RADIUS / DEVIATION) * (RADIUS / DEVIATION));
+    let radius = DEVIATION * (-2.0 * libm::log1p(-u * inside)).sqrt();
+    let (sin, cos) = libm::sincos(std::f64::consts::TAU * v);
+    [radius * cos, radius * sin]
 }
 
 #[cfg(test)]
@@ -130,6 +144,23 @@ mod tests {
         assert!((sum / f64::from(count)).abs() < 1e-4);
         // A tent on -1 .. 1 has variance 1/6.
         assert!((squares / f64::from(count) - 1.0 / 6.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_gaussian_has_its_mean_variance_and_end() {
+        let count = 1 << 14;
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for sample in 0..count {
+            let [x, y] = pixel_offset(3, 9, sample, count, Filter::Gaussian).map(|at| at - 0.5);
+            assert!(x * x + y * y <= 1.5 * 1.5 + 1e-12);
+            sum += x + y;
+            squares += x * x + y * y;
+        }
+        assert!((sum / f64::from(count)).abs() < 1e-3);
+        // The mean of r^2 of a Gaussian cut at r^2 = 2 d^2 a, that is 2 d^2 (1 - a e^-a / (1 - e^-a)).
+        let a: f64 = 4.5;
+        let expected = 0.5 * (1.0 - a * libm::exp(-a) / (1.0 - libm::exp(-a)));
+        assert!((squares / f64::from(count) - expected).abs() < 1e-3, "{}", squares / f64::from(count));
     }
 
     #[test]

@@ -7,6 +7,18 @@ use super::tiles::TileGrid;
 use crate::error::RenderError;
 use crate::scene::{EffectOptions, EffectSet};
 
+/// What becomes of a ray that cannot add more than the contribution bound.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum PathEnd {
+    /// It is cut. Each cut takes at most [`RenderSettings::contribution_bound`] from its sample, in expectation where effects
+    /// are sampled, and the report counts the cuts.
+    #[default]
+    Cut,
+    /// Russian roulette: it goes on with a probability of its largest possible contribution over the bound, and carries that
+    /// much more. Nothing is lost on average; the bound then only trades time for noise. Luck is keyed by the seed.
+    Roulette,
+}
+
 /// Size, quality and limits of a picture. The picture is a pure function of scene, model and the fields above
 /// `tile_size` (I2); `tile_size` and `batch_samples` trade memory for speed and do not show.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,12 +31,14 @@ pub struct RenderSettings {
     pub samples_per_pixel: u32,
     /// How samples are spread around their pixel.
     pub filter: Filter,
-    /// Key of the sample positions.
+    /// Key of the sample positions and of all other random numbers.
     pub seed: u64,
     /// A ray is not followed, and a lamp not asked for, if it could not add more than this to any channel of its sample:
     /// throughput times a proven bound on the radiance that can arrive. Linear, in the unit of the lights; 0 follows
     /// everything that could add anything at all.
     pub contribution_bound: f64,
+    /// What becomes of rays and lamps below that bound.
+    pub path_end: PathEnd,
     /// Most rays that one sample's tree may hold, shadow rays not counted. There is no limit on depth; this guards
     /// against lossless mirrors that face each other. A budget is divided among the rays that a ray spawns, so it
     /// cuts the same rays in every run, and the report says how often it did.
@@ -49,6 +63,7 @@ impl RenderSettings {
             filter: Filter::default(),
             seed: 0,
             contribution_bound: 1e-3,
+            path_end: PathEnd::Cut,
             work_budget: 1 << 14,
             switched_off: EffectSet::EMPTY,
             forced: EffectSet::EMPTY,

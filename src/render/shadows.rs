@@ -34,6 +34,8 @@ struct Walker {
 #[derive(Debug)]
 pub(crate) struct ShadowBatch {
     capacity: usize,
+    /// Whether light that a surface would bend counts as hidden: rays find it by themselves.
+    straight_only: bool,
     rays: Vec<Ray>,
     claims: Vec<Claim>,
     occlusion: Vec<Occlusion>,
@@ -48,6 +50,7 @@ impl ShadowBatch {
         let walks = if with_walks { capacity } else { 0 };
         ShadowBatch {
             capacity,
+            straight_only: false,
             rays: Vec::with_capacity(capacity),
             claims: Vec::with_capacity(capacity),
             occlusion: vec![Occlusion::Clear; capacity],
@@ -76,6 +79,12 @@ impl ShadowBatch {
         self.claims.is_empty()
     }
 
+    /// Whether the claims to come pass only surfaces that do not bend light. The batch must be empty.
+    pub fn pass_straight_only(&mut self, straight_only: bool) {
+        debug_assert!(self.is_empty());
+        self.straight_only = straight_only;
+    }
+
     /// Adds a claim of the sample in `slot`.
     ///
     /// # Panics
@@ -96,7 +105,8 @@ impl ShadowBatch {
     ) -> Result<(), TraceError> {
         let count = self.claims.len();
         let occlusion = &mut self.occlusion[..count];
-        query.occluded(&self.rays, stage.transparent.as_ref(), occlusion)?;
+        let passed = if self.straight_only { &stage.straight } else { &stage.transparent };
+        query.occluded(&self.rays, passed.as_ref(), occlusion)?;
         counters.shadow_rays += count as u64;
         // Shadows that are traced only because they are forced must not show.
         if stage.shadows {
@@ -157,9 +167,10 @@ impl ShadowBatch {
                     *contribution *= walker.transmittance;
                     return false;
                 };
-                walker.pass(stage, ray, &hit);
+                walker.pass(stage, ray, &hit, counters);
                 let left = (*contribution * walker.transmittance).max_element();
-                let goes_on = left > stage.settings.contribution_bound;
+                // Roulette has decided before whether it is worth asking.
+                let goes_on = left > if stage.roulette { 0.0 } else { stage.settings.contribution_bound };
                 if !goes_on {
                     counters.contribution_cuts += u64::from(left > 0.0);
                     *contribution = DVec3::ZERO;
@@ -173,13 +184,14 @@ impl ShadowBatch {
 
 impl Walker {
     /// Takes it through the surface at `hit` and through the inside that ends there.
-    fn pass(&mut self, stage: &Stage, ray: &Ray, hit: &Hit) {
+    fn pass(&mut self, stage: &Stage, ray: &Ray, hit: &Hit, counters: &mut EffectCounters) {
         self.last = Some((hit.t, hit.triangle));
         // At an edge or a vertex every triangle there is hit, and the surface is crossed once.
         let Some(sense) = RayFrame::new(ray).crossing(&hit.vertices) else { return };
         let shader = stage.shader(hit.material);
         let mut share = DVec3::splat(shader.transmission);
-        if sense == Sense::Exit {
+        if sense == Sense::Exit && shader.absorption != DVec3::ZERO {
+            counters.absorbed_segments += 1;
             let distance = (hit.t - self.crossed_t) * DVec3::from_array(ray.direction).length();
             // Two crossings at one point may come in either order.
             share *= absorb(shader.absorption, distance.max(0.0));

@@ -2,10 +2,15 @@
 
 use glam::DVec3;
 
-use super::settings::RenderSettings;
+use super::bound::RadianceBound;
+use super::random::{Dimension, SampleKey, VertexId};
+use super::settings::{PathEnd, RenderSettings};
 use super::tiles::TileGrid;
+use crate::geom::Ray;
 use crate::model::MaterialRecord;
-use crate::scene::{Effect, EffectPlan, Emitter, Scene, Surface, View};
+use crate::scene::{
+    AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Scene, Surface, View,
+};
 use crate::trace::MaterialSet;
 use crate::units::MaterialId;
 
@@ -20,8 +25,16 @@ pub(crate) struct Shader {
     pub transmission: f64,
     pub absorption: DVec3,
     pub refractive_index: f64,
+    /// GGX roughness of mirror and glass; 0 if smooth.
+    pub alpha: f64,
+    /// Rank among overlapping media.
+    pub priority: u8,
+    /// Whether it bounds a body that light passes through: refracts or absorbs.
+    pub is_medium: bool,
     /// Whether lamps show on it.
     pub is_lit: bool,
+    /// Whether it shows lights with extent by reflection, so that a highlight would show them twice.
+    pub reflects: bool,
 }
 
 /// Exponent of a highlight.
@@ -73,9 +86,31 @@ impl Shader {
             transmission: surface.transmission,
             absorption: DVec3::from_array(surface.absorption),
             refractive_index: surface.refractive_index,
-            is_lit: surface.is_lit(),
+            alpha: surface.alpha,
+            priority: surface.priority,
+            is_medium: surface.refracts() || surface.is_transparent() && surface.absorption != [0.0; 3],
+            is_lit: surface.is_lit() || surface.alpha > 0.0,
+            reflects: surface.is_mirror() || surface.refracts(),
         }
     }
+}
+
+/// A sample's way into the scene.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CameraSample {
+    pub key: SampleKey,
+    pub ray: Ray,
+}
+
+/// Which compiled form of the path loop a picture takes; see [`super::hot`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Loop {
+    /// No ray goes on from a hit.
+    Matt,
+    /// Smooth mirrors and glass.
+    Whitted,
+    /// Everything, gated at run time.
+    Sampled,
 }
 
 /// The unchanging part of a render.
@@ -85,20 +120,44 @@ pub(crate) struct Stage {
     pub settings: RenderSettings,
     pub view: View,
     pub emitters: Vec<Emitter>,
+    /// Lights with extent; a black one where they are only forced.
+    pub areas: Vec<AreaEmitter>,
+    /// What is sampled as light from all around; a black one where it is only forced.
+    pub environment: Option<EnvironmentEmitter>,
+    /// What rays that hit nothing see in place of the background.
+    pub surroundings: Option<EnvironmentEmitter>,
     pub background: DVec3,
     pub ambient: DVec3,
     shaders: Vec<Shader>,
     /// Materials that shadows shine through; none if there are none.
     pub transparent: Option<MaterialSet>,
+    /// Those of them that do not bend light.
+    pub straight: Option<MaterialSet>,
     bound: RadianceBound,
+    pub path_loop: Loop,
     pub direct: bool,
     pub shadows: bool,
     pub reflection: bool,
     pub transmission: bool,
+    pub interreflection: bool,
+    pub nested: bool,
+    /// Whether any surface has a rough lobe.
+    pub has_rough: bool,
+    pub roulette: bool,
+    /// Whether the environment is sampled, not only forced.
+    pub lit_by_environment: bool,
     /// Whether lamps are visited although they cannot matter, and so on.
     pub force_shadows: bool,
     pub force_reflection: bool,
     pub force_transmission: bool,
+    pub force_areas: bool,
+    pub force_environment: bool,
+    pub force_glossy: bool,
+    pub force_frosted: bool,
+    pub force_interreflection: bool,
+    pub force_nested: bool,
+    pub force_lens: bool,
+    pub force_shutter: bool,
 }
 
 impl Stage {
@@ -108,43 +167,133 @@ impl Stage {
         plan: &EffectPlan,
         settings: &RenderSettings,
     ) -> Stage {
-        let surfaces: Vec<Surface> = materials.iter().map(|record| plan.surface(record)).collect();
-        let transparent: MaterialSet = surfaces
-            .iter()
-            .zip(0..=u16::MAX)
-            .filter(|(surface, _)| surface.is_transparent())
-            .map(|(_, id)| MaterialId(id))
-            .collect();
+        let surfaces: Vec<Surface> = materials.iter().map(|record| plan.surface(scene, record)).collect();
+        let materials_that = |holds: &dyn Fn(&Surface) -> bool| {
+            let chosen = surfaces.iter().zip(0..=u16::MAX).filter(|(surface, _)| holds(surface));
+            let set: MaterialSet = chosen.map(|(_, id)| MaterialId(id)).collect();
+            (!set.is_empty()).then_some(set)
+        };
+        let force_areas = plan.forces(Effect::AreaLight);
+        let force_environment = plan.forces(Effect::EnvironmentLight);
         let force_shadows = plan.forces(Effect::Shadows);
-        Stage {
+        let mut areas: Vec<AreaEmitter> = Vec::new();
+        if plan.has(Effect::AreaLight) {
+            areas.extend(
+                scene
+                    .lights()
+                    .iter()
+                    .filter(|light| !light.is_dark())
+                    .filter_map(|light| light.area_emitter()),
+            );
+        } else if force_areas {
+            areas.push(AreaEmitter::black(DVec3::from_array(scene.camera().eye())));
+        }
+        let surroundings = scene.environment().map(EnvironmentEmitter::new);
+        let lit_by_environment = plan.has(Effect::EnvironmentLight);
+        let environment = if lit_by_environment {
+            surroundings.clone()
+        } else {
+            force_environment.then(|| EnvironmentEmitter::new(&Environment::Constant([0.0; 3])))
+        };
+        let mut camera = *scene.camera();
+        if !plan.has(Effect::DepthOfField) {
+            camera = camera.without_lens();
+        }
+        if !plan.has(Effect::MotionBlur) {
+            camera = camera.at_rest();
+        }
+        let mut stage = Stage {
             grid: settings.grid(),
             settings: *settings,
-            view: scene.camera().view(settings.width, settings.height),
+            view: camera.view(settings.width, settings.height),
             emitters: scene
                 .lights()
                 .iter()
                 .filter(|light| !light.is_dark())
-                .map(|light| light.emitter())
+                .filter_map(|light| light.emitter())
                 .collect(),
+            areas,
+            environment,
+            surroundings,
             background: DVec3::from_array(scene.background().map(f64::from)),
             ambient: DVec3::from_array(scene.ambient().map(f64::from)),
-            bound: RadianceBound::new(scene, &surfaces, plan.has(Effect::DirectLight)),
+            bound: RadianceBound::new(scene, &surfaces, plan),
             shaders: surfaces.iter().map(Shader::new).collect(),
-            transparent: (!transparent.is_empty()).then_some(transparent),
+            transparent: materials_that(&|surface| surface.is_transparent()),
+            straight: materials_that(&|surface| surface.is_transparent() && !surface.refracts()),
+            path_loop: Loop::Sampled,
             direct: plan.has(Effect::DirectLight) || plan.forces(Effect::DirectLight) || force_shadows,
             shadows: plan.has(Effect::Shadows),
             reflection: plan.has(Effect::Reflection),
             transmission: plan.has(Effect::Transmission),
+            interreflection: plan.has(Effect::Interreflection),
+            nested: plan.has(Effect::NestedMedia),
+            has_rough: surfaces.iter().any(|surface| surface.alpha > 0.0),
+            roulette: settings.path_end == PathEnd::Roulette,
+            lit_by_environment,
             force_shadows,
             force_reflection: plan.forces(Effect::Reflection),
             force_transmission: plan.forces(Effect::Transmission),
+            force_areas,
+            force_environment,
+            force_glossy: plan.forces(Effect::GlossyReflection),
+            force_frosted: plan.forces(Effect::RoughRefraction),
+            force_interreflection: plan.forces(Effect::Interreflection),
+            force_nested: plan.forces(Effect::NestedMedia),
+            force_lens: plan.forces(Effect::DepthOfField) && !plan.has(Effect::DepthOfField),
+            force_shutter: plan.forces(Effect::MotionBlur) && !plan.has(Effect::MotionBlur),
+        };
+        stage.path_loop = stage.choose_loop();
+        stage
+    }
+
+    fn choose_loop(&self) -> Loop {
+        let is_sampled = !self.areas.is_empty()
+            || self.environment.is_some()
+            || self.surroundings.is_some()
+            || self.interreflection
+            || self.nested
+            || self.roulette
+            || self.forces_a_sampled_effect()
+            || self.has_rough;
+        if is_sampled {
+            Loop::Sampled
+        } else if self.reflection || self.transmission || self.force_reflection || self.force_transmission {
+            Loop::Whitted
+        } else {
+            Loop::Matt
         }
+    }
+
+    /// Whether forced effects trace rays that need the sampled loop.
+    pub fn forces_a_sampled_effect(&self) -> bool {
+        self.force_areas
+            || self.force_environment
+            || self.force_glossy
+            || self.force_frosted
+            || self.force_interreflection
+            || self.force_nested
+            || self.force_lens
+            || self.force_shutter
+    }
+
+    /// The way into the scene of sample `sample` of `pixel`, which lies at `(x, y)` of the image.
+    pub fn camera_sample(&self, pixel: u64, sample: u32, x: f64, y: f64) -> CameraSample {
+        let key = SampleKey::new(self.settings.seed, pixel, sample);
+        let (has_lens, is_moving) = (self.view.has_lens(), self.view.is_moving());
+        if !(has_lens || is_moving) {
+            return CameraSample { key, ray: self.view.ray(x, y) };
+        }
+        let lens = if has_lens { key.pair(VertexId::CAMERA, Dimension::Lens) } else { [0.5; 2] };
+        let time = if is_moving { key.one(VertexId::CAMERA, Dimension::Shutter) } else { 0.0 };
+        CameraSample { key, ray: self.view.sampled_ray(x, y, lens, time) }
     }
 
     /// What the tables take, those needed only to make them included.
     pub fn bytes(&self) -> usize {
         self.shaders.len() * (size_of::<Shader>() + size_of::<Surface>())
             + self.emitters.len() * size_of::<Emitter>()
+            + self.areas.len() * size_of::<AreaEmitter>()
     }
 
     /// The shading terms of a material.
@@ -157,94 +306,18 @@ impl Stage {
     /// Whether a path that carries `throughput` into a tree of at most `work` rays can add more than the caller's
     /// contribution bound.
     pub fn is_worth_following(&self, throughput: DVec3, work: u64) -> bool {
-        throughput.max_element() * self.bound.of(work) > self.settings.contribution_bound
-    }
-}
-
-/// A bound on the radiance that any ray can bring back.
-///
-/// No surface sends on more than it gets: the weights of the rays it spawns add up to `rho <= 1` ([`Surface`]'s
-/// table; Fresnel's shares add up to 1, absorption only takes). With `local` the most that a surface adds of its own
-/// (emission, ambient and direct light), two bounds hold and the lesser is used:
-///
-/// - `L <= B` for any `B` with `background <= B` and `local_m + rho_m B <= B` for every material `m`;
-/// - `L <= work * max(local, background)`: each generation of a tree adds at most its largest local term, and a tree
-///   of `work` rays has at most `work` generations.
-#[derive(Clone, Copy, Debug)]
-struct RadianceBound {
-    fixed_point: f64,
-    per_generation: f64,
-}
-
-impl RadianceBound {
-    fn new(scene: &Scene, surfaces: &[Surface], direct: bool) -> RadianceBound {
-        let channel_max = |colour: [f64; 3]| colour.into_iter().fold(0.0, f64::max);
-        let background = channel_max(scene.background().map(f64::from));
-        let mut received = [0.0; 3];
-        if direct {
-            for light in scene.lights() {
-                for (sum, channel) in received.iter_mut().zip(light.irradiance_max()) {
-                    *sum += channel;
-                }
-            }
-        }
-        let (mut fixed_point, mut per_generation) = (background, background);
-        for surface in surfaces {
-            let local = channel_max([0, 1, 2].map(|channel| {
-                surface.emission[channel]
-                    + surface.diffuse[channel] * f64::from(scene.ambient()[channel])
-                    + (surface.diffuse[channel] + surface.highlight[channel]) * received[channel]
-            }));
-            let passed_on = (channel_max(surface.mirror) + surface.transmission).min(1.0);
-            per_generation = per_generation.max(local);
-            if local > 0.0 {
-                // Infinite for a lossless surface that also shines; then the other bound holds.
-                fixed_point = fixed_point.max(local / (1.0 - passed_on));
-            }
-        }
-        RadianceBound { fixed_point, per_generation }
+        self.contribution_max(throughput, work) > self.settings.contribution_bound
     }
 
-    fn of(&self, work: u64) -> f64 {
-        self.fixed_point.min(work as f64 * self.per_generation)
+    /// The most that a path can add that carries `throughput` into a tree of at most `work` rays.
+    pub fn contribution_max(&self, throughput: DVec3, work: u64) -> f64 {
+        throughput.max_element() * self.bound.of(work)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Camera, EffectOptions, Light};
-
-    #[test]
-    fn the_radiance_bound_follows_from_the_materials() {
-        let camera = Camera::pinhole([0.0, 0.0, 5.0], [0.0; 3], [0.0, 1.0, 0.0], 40.0).unwrap();
-        let scene = Scene::new(camera)
-            .with_background([0.5; 3])
-            .with_light(Light::directional([0.0, -1.0, 0.0], [2.0, 1.0, 0.0]));
-        let bound = |record: MaterialRecord| {
-            let records = [record];
-            let plan = EffectPlan::of_materials(&scene, &records, &EffectOptions::default());
-            RadianceBound::new(&scene, &records.each_ref().map(|record| plan.surface(record)), true)
-        };
-        let matt = bound(MaterialRecord { diffuse: [0.5; 3], ..MaterialRecord::default() });
-        assert_eq!((matt.of(1), matt.of(1000)), (1.0, 1.0));
-        // Half mirror: 0.5 * 2 of its own, plus the highlight 0.5 * 2, and half of what comes in.
-        let mirror = bound(MaterialRecord {
-            diffuse: [0.5; 3],
-            specular: [0.5; 3],
-            mirror: true,
-            ..MaterialRecord::default()
-        });
-        assert_eq!((mirror.of(1), mirror.of(1000)), (2.0, 4.0));
-        // Lossless and lit: bounded only by the number of rays.
-        let lossless = bound(MaterialRecord {
-            diffuse: [0.0; 3],
-            specular: [1.0; 3],
-            mirror: true,
-            ..MaterialRecord::default()
-        });
-        assert_eq!(lossless.of(1000), 2000.0);
-    }
 
     #[test]
     fn whole_and_real_exponents_agree() {

@@ -247,7 +247,7 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
                 let sample = (index % per_pixel) as u32;
                 let offset =
                     pixel_offset(settings.seed, pixel, sample, settings.samples_per_pixel, settings.filter);
-                stage.view.ray(f64::from(x) + offset[0], f64::from(y) + offset[1])
+                stage.camera_sample(pixel, sample, f64::from(x) + offset[0], f64::from(y) + offset[1])
             });
             let radiance = self.paths.trace(rays)?;
             for (index, radiance) in (start..end).zip(radiance) {

@@ -1,8 +1,12 @@
 //! Pinhole and orthographic cameras; image position to ray as a pure function.
+//!
+//! A lens ([`super::lens`]) and a motion ([`super::motion`]) may be added; without them they cost a ray nothing.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::lens::Lens;
+use super::motion::Pose;
 use crate::error::RenderError;
 use crate::geom::{Aabb, Ray};
 
@@ -28,6 +32,9 @@ pub struct Camera {
     /// Orthonormal: right, up, forward.
     frame: [DVec3; 3],
     projection: Projection,
+    lens: Option<Lens>,
+    /// Where it is when the shutter closes, if it moves.
+    end: Option<Pose>,
 }
 
 impl Camera {
@@ -69,7 +76,8 @@ impl Camera {
             _ => {}
         }
         let right = side.normalize();
-        Ok(Camera { eye, frame: [right, right.cross(forward), forward], projection })
+        let frame = [right, right.cross(forward), forward];
+        Ok(Camera { eye, frame, projection, lens: None, end: None })
     }
 
     /// [`Camera::new`] with [`Projection::Pinhole`].
@@ -143,7 +151,56 @@ impl Camera {
             eye: center + toward_eye * (distance * Self::FRAMING_MARGIN),
             frame: [view_right, view_up, forward],
             projection: Projection::Pinhole { fov_degrees: Self::FRAMING_FOV_DEGREES },
+            lens: None,
+            end: None,
         }
+    }
+
+    /// The camera with a thin lens in place of the pinhole: what lies farther or nearer than the plane of focus is blurred.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] if the projection is parallel, or a number of the lens is out of its range
+    /// ([`Lens::validate`]).
+    pub fn with_lens(self, lens: Lens) -> Result<Camera, RenderError> {
+        lens.validate()?;
+        if let Projection::Orthographic { .. } = self.projection {
+            let reason = "an orthographic camera has no lens; use a pinhole".to_string();
+            return Err(RenderError::Setting { what: "lens", reason });
+        }
+        Ok(Camera { lens: Some(lens), ..self })
+    }
+
+    /// The camera with a shutter that opens here and closes when the camera has become `end`. In between the eye moves on a
+    /// straight line and the frame turns evenly enough for small turns: its vectors are interpolated and made orthonormal again.
+    /// Projection and lens stay this camera's.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] if the camera turns by a right angle or more: cut the motion into shorter ones.
+    pub fn moving_to(self, end: &Camera) -> Result<Camera, RenderError> {
+        let pose = Pose::new(self.frame, end.eye, end.frame)?;
+        Ok(Camera { end: Some(pose), ..self })
+    }
+
+    /// The lens, if there is one.
+    pub fn lens(&self) -> Option<Lens> {
+        self.lens
+    }
+
+    /// Whether the camera moves while the shutter is open.
+    pub fn is_moving(&self) -> bool {
+        self.end.is_some_and(|end| end.differs_from(self.eye, self.frame))
+    }
+
+    /// The same camera with an ideal pinhole.
+    #[must_use]
+    pub fn without_lens(self) -> Camera {
+        Camera { lens: None, ..self }
+    }
+
+    /// The same camera at rest, where it is when the shutter opens.
+    #[must_use]
+    pub fn at_rest(self) -> Camera {
+        Camera { end: None, ..self }
     }
 
     /// Where the camera stands.
@@ -167,15 +224,14 @@ impl Camera {
             Projection::Pinhole { fov_degrees } => libm::tan(0.5 * fov_degrees.to_radians()),
             Projection::Orthographic { height } => 0.5 * height,
         };
-        let [right, up, forward] = self.frame;
-        let pixel = 2.0 * half_height / f64::from(height.max(1));
         View {
             eye: self.eye,
-            forward,
-            right: right * pixel,
-            down: up * -pixel,
+            frame: self.frame,
+            pixel: 2.0 * half_height / f64::from(height.max(1)),
             center: [0.5 * f64::from(width), 0.5 * f64::from(height)],
             parallel: matches!(self.projection, Projection::Orthographic { .. }),
+            lens: self.lens.filter(|lens| lens.radius > 0.0),
+            end: self.end.filter(|_| self.is_moving()),
         }
     }
 }
@@ -184,24 +240,54 @@ impl Camera {
 #[derive(Clone, Copy, Debug)]
 pub struct View {
     eye: DVec3,
-    forward: DVec3,
-    /// One pixel to the right and one down, at unit distance for a pinhole.
-    right: DVec3,
-    down: DVec3,
+    frame: [DVec3; 3],
+    /// Side of a pixel, at unit distance for a pinhole.
+    pixel: f64,
     center: [f64; 2],
     parallel: bool,
+    lens: Option<Lens>,
+    end: Option<Pose>,
 }
 
 impl View {
     /// The ray through `(x, y)` in pixels from the image's upper left corner: the middle of the first pixel is
     /// `(0.5, 0.5)`. The direction has unit length (rounded), so `t` is a distance. A pure function of the camera,
-    /// the image size and the position (I2).
+    /// the image size and the position (I2). Through the middle of a lens, when the shutter opens.
     pub fn ray(&self, x: f64, y: f64) -> Ray {
-        let offset = self.right * (x - self.center[0]) + self.down * (y - self.center[1]);
+        self.ray_from(self.eye, self.frame, x, y)
+    }
+
+    /// Whether [`View::sampled_ray`] looks at the point of the lens it is given.
+    pub(crate) fn has_lens(&self) -> bool {
+        self.lens.is_some()
+    }
+
+    /// Whether [`View::sampled_ray`] looks at the time it is given.
+    pub(crate) fn is_moving(&self) -> bool {
+        self.end.is_some()
+    }
+
+    /// [`View::ray`] through the point of the lens that belongs to `lens` in the unit square, at `time` between 0, when the
+    /// shutter opens, and 1. Without lens and motion both are ignored, and the ray is that of [`View::ray`] to the bit.
+    pub(crate) fn sampled_ray(&self, x: f64, y: f64, lens: [f64; 2], time: f64) -> Ray {
+        let (eye, frame) = match &self.end {
+            Some(end) => end.at(self.eye, self.frame, time),
+            None => (self.eye, self.frame),
+        };
+        let ray = self.ray_from(eye, frame, x, y);
+        match &self.lens {
+            Some(through) => through.bend(&ray, frame, lens),
+            None => ray,
+        }
+    }
+
+    fn ray_from(&self, eye: DVec3, [right, up, forward]: [DVec3; 3], x: f64, y: f64) -> Ray {
+        let (right, down) = (right * self.pixel, up * -self.pixel);
+        let offset = right * (x - self.center[0]) + down * (y - self.center[1]);
         if self.parallel {
-            Ray::new((self.eye + offset).to_array(), self.forward.to_array())
+            Ray::new((eye + offset).to_array(), forward.to_array())
         } else {
-            Ray::new(self.eye.to_array(), (self.forward + offset).normalize().to_array())
+            Ray::new(eye.to_array(), (forward + offset).normalize().to_array())
         }
     }
 }

@@ -2,23 +2,36 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Camera, Light};
+use super::{Camera, Environment, Finish, Light};
 use crate::error::RenderError;
 use crate::geom::Aabb;
+use crate::model::MaterialRecord;
 
-/// Camera, lights and what is seen where nothing is hit. Materials come from the compiled model.
+/// Camera, lights and what is seen where nothing is hit. Materials come from the compiled model; a scene may add a
+/// [`Finish`] to them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scene {
     camera: Camera,
     lights: Vec<Light>,
     background: [f32; 3],
     ambient: [f32; 3],
+    environment: Option<Environment>,
+    interreflection: bool,
+    finishes: Vec<(String, Finish)>,
 }
 
 impl Scene {
     /// A scene without lights before a black background.
     pub fn new(camera: Camera) -> Scene {
-        Scene { camera, lights: Vec::new(), background: [0.0; 3], ambient: [0.0; 3] }
+        Scene {
+            camera,
+            lights: Vec::new(),
+            background: [0.0; 3],
+            ambient: [0.0; 3],
+            environment: None,
+            interreflection: false,
+            finishes: Vec::new(),
+        }
     }
 
     /// A scene that shows a model inside `bounds` in a picture of `aspect` = width / height without further
@@ -32,6 +45,13 @@ impl Scene {
     pub fn with_automatic_lights(mut self) -> Scene {
         self.lights.extend(Light::automatic(&self.camera));
         self.with_background([0.70, 0.78, 0.86]).with_ambient([0.08, 0.085, 0.09])
+    }
+
+    /// Puts another camera in the place of the first.
+    #[must_use]
+    pub fn with_camera(mut self, camera: Camera) -> Scene {
+        self.camera = camera;
+        self
     }
 
     /// Adds a light.
@@ -48,7 +68,8 @@ impl Scene {
         self
     }
 
-    /// Sets the linear RGB radiance of rays that hit nothing.
+    /// Sets the linear RGB radiance of rays that hit nothing. It lights nothing but through such rays:
+    /// [`Scene::with_environment`] does.
     #[must_use]
     pub fn with_background(mut self, radiance: [f32; 3]) -> Scene {
         self.background = radiance;
@@ -56,10 +77,33 @@ impl Scene {
     }
 
     /// Sets a constant light that every diffuse surface receives, shadowed or not, in the unit of
-    /// [`Light::intensity`].
+    /// [`Light::intensity`]: a stand-in for interreflection.
     #[must_use]
     pub fn with_ambient(mut self, irradiance: [f32; 3]) -> Scene {
         self.ambient = irradiance;
+        self
+    }
+
+    /// Sets surroundings that light the scene and are seen in place of the background.
+    #[must_use]
+    pub fn with_environment(mut self, environment: Environment) -> Scene {
+        self.environment = Some(environment);
+        self
+    }
+
+    /// Asks for diffuse interreflection: light that comes to a matt surface from other surfaces and, without an environment,
+    /// from the background. No surface then sends on more than it gets: where diffuse reflectance, mirror and transmission of a
+    /// material add up to more than 1, the diffuse part is made smaller.
+    #[must_use]
+    pub fn with_interreflection(mut self) -> Scene {
+        self.interreflection = true;
+        self
+    }
+
+    /// Adds a finish to the materials named `material`. Of two for the same name the later counts.
+    #[must_use]
+    pub fn with_finish(mut self, material: impl Into<String>, finish: Finish) -> Scene {
+        self.finishes.push((material.into(), finish));
         self
     }
 
@@ -68,12 +112,12 @@ impl Scene {
         &self.camera
     }
 
-    /// The lights, in the order in which their light is summed.
+    /// The lights, in the order in which their light is summed: those without extent, then the others.
     pub fn lights(&self) -> &[Light] {
         &self.lights
     }
 
-    /// Linear RGB radiance of rays that hit nothing.
+    /// Linear RGB radiance of rays that hit nothing, unless there is an environment.
     pub fn background(&self) -> [f32; 3] {
         self.background
     }
@@ -83,17 +127,49 @@ impl Scene {
         self.ambient
     }
 
+    /// The surroundings, if they light the scene.
+    pub fn environment(&self) -> Option<&Environment> {
+        self.environment.as_ref()
+    }
+
+    /// Whether diffuse interreflection was asked for.
+    pub fn has_interreflection(&self) -> bool {
+        self.interreflection
+    }
+
+    /// The finish of a material.
+    pub fn finish(&self, record: &MaterialRecord) -> Finish {
+        let found = self.finishes.iter().rev().find(|(name, _)| *name == record.name);
+        found.map_or(Finish::default(), |(_, finish)| *finish)
+    }
+
     /// Checks what construction did not.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] for a light that [`Light::validate`] refuses, or a background or ambient colour
-    /// that is negative or not finite.
+    /// [`RenderError::Setting`] for a light, an environment or a finish that its own `validate` refuses, or a
+    /// background or ambient colour that is negative or not finite.
     pub fn validate(&self) -> Result<(), RenderError> {
         self.lights.iter().try_for_each(Light::validate)?;
+        self.environment.iter().try_for_each(Environment::validate)?;
+        self.finishes.iter().try_for_each(|(_, finish)| finish.validate())?;
         for (what, colour) in [("background", self.background), ("ambient light", self.ambient)] {
             if colour.iter().any(|channel| !(*channel >= 0.0 && channel.is_finite())) {
                 let reason = "each channel must be finite and not negative".to_string();
                 return Err(RenderError::Setting { what, reason });
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that every finish has its material.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] for a finish of a material that is not among `materials`.
+    pub fn validate_finishes(&self, materials: &[MaterialRecord]) -> Result<(), RenderError> {
+        for (name, _) in &self.finishes {
+            if !materials.iter().any(|record| record.name == *name) {
+                let reason = format!("the model has no material named {name:?}");
+                return Err(RenderError::Setting { what: "finish", reason });
             }
         }
         Ok(())

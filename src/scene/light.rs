@@ -1,9 +1,10 @@
-//! Lights without extent.
+//! Lights: those without extent, and what all have in common.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::Camera;
+use super::area_light::{AreaEmitter, LightShape};
 use crate::error::RenderError;
 use crate::geom::Ray;
 
@@ -21,8 +22,10 @@ pub enum Falloff {
     },
 }
 
-/// A light without extent. Its colour is linear RGB irradiance at perpendicular incidence, in the convention of MTL
-/// files: a surface with diffuse reflectance `Kd` that faces the light shows `Kd` times that, without a factor pi.
+/// A light. The colour of one without extent is linear RGB irradiance at perpendicular incidence, in the convention of MTL
+/// files: a surface with diffuse reflectance `Kd` that faces the light shows `Kd` times that, without a factor pi. The
+/// colour of one with extent is its radiance. The two fit together: a surface that receives radiance 1 from its whole
+/// hemisphere shows `Kd` as well.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Light {
     /// Shines from a point in all directions.
@@ -40,6 +43,29 @@ pub enum Light {
         direction: [f64; 3],
         /// Received by every facing surface.
         intensity: [f32; 3],
+    },
+    /// Shines from a point into a cone, evenly inside `inner_degrees` and less and less up to `outer_degrees`.
+    Spot {
+        /// Where it is.
+        position: [f64; 3],
+        /// Middle of the cone, the way the light travels; any length but zero.
+        direction: [f64; 3],
+        /// As for [`Light::Point`], inside the inner cone.
+        intensity: [f32; 3],
+        /// How it weakens with distance.
+        falloff: Falloff,
+        /// Angle between the middle and the border of the evenly lit cone: 0 to `outer_degrees`.
+        inner_degrees: f64,
+        /// Angle between the middle and the border of all light: above 0, at most 90.
+        outer_degrees: f64,
+    },
+    /// Shines from a shape with extent: its shadows are soft. It is seen, directly and in mirrors; it is no surface,
+    /// so it hides nothing and casts no shadow: a ray through its lit side gathers its radiance and goes on.
+    Area {
+        /// What shines.
+        shape: LightShape,
+        /// Radiance of every point of it, in every direction of its lit side.
+        radiance: [f32; 3],
     },
 }
 
@@ -63,6 +89,11 @@ impl Light {
         Light::Directional { direction, intensity }
     }
 
+    /// A light with extent.
+    pub fn area(shape: LightShape, radiance: [f32; 3]) -> Light {
+        Light::Area { shape, radiance }
+    }
+
     /// Two lights that suit any model seen by `camera`: a key from above the viewer's left shoulder and a weaker
     /// fill from the right.
     pub fn automatic(camera: &Camera) -> Vec<Light> {
@@ -78,7 +109,10 @@ impl Light {
     /// The colour given at construction.
     pub fn intensity(&self) -> [f32; 3] {
         match *self {
-            Light::Point { intensity, .. } | Light::Directional { intensity, .. } => intensity,
+            Light::Point { intensity, .. }
+            | Light::Directional { intensity, .. }
+            | Light::Spot { intensity, .. } => intensity,
+            Light::Area { radiance, .. } => radiance,
         }
     }
 
@@ -87,10 +121,17 @@ impl Light {
         self.intensity() == [0.0; 3]
     }
 
-    /// The most that any point can receive from it.
+    /// Whether it has extent.
+    pub fn is_area(&self) -> bool {
+        matches!(self, Light::Area { .. })
+    }
+
+    /// The most that any point can receive from it, in the unit of [`Light::Directional`]: for a light with extent, which at
+    /// most fills the hemisphere, its radiance.
     pub fn irradiance_max(&self) -> [f64; 3] {
         let scale = match *self {
-            Light::Point { falloff: Falloff::InverseSquare { radius }, .. } => 1.0 / (radius * radius),
+            Light::Point { falloff: Falloff::InverseSquare { radius }, .. }
+            | Light::Spot { falloff: Falloff::InverseSquare { radius }, .. } => 1.0 / (radius * radius),
             _ => 1.0,
         };
         self.intensity().map(|channel| f64::from(channel) * scale)
@@ -107,15 +148,27 @@ impl Light {
             return error("its intensity must be finite and not negative");
         }
         match *self {
-            Light::Point { position, .. } if !DVec3::from_array(position).is_finite() => {
+            Light::Point { position, .. } | Light::Spot { position, .. }
+                if !DVec3::from_array(position).is_finite() =>
+            {
                 error("its position must be finite")
             }
             Light::Point { falloff: Falloff::InverseSquare { radius }, .. }
+            | Light::Spot { falloff: Falloff::InverseSquare { radius }, .. }
                 if !(radius > 0.0 && (1.0 / (radius * radius)).is_finite()) =>
             {
                 error("the radius of a light with falloff must be positive")
             }
-            Light::Directional { direction, .. }
+            Light::Spot { inner_degrees, outer_degrees, .. }
+                if !(inner_degrees >= 0.0
+                    && inner_degrees <= outer_degrees
+                    && outer_degrees > 0.0
+                    && outer_degrees <= 90.0) =>
+            {
+                error("the angles of a spot light must satisfy 0 <= inner <= outer, 0 < outer <= 90")
+            }
+            Light::Area { shape, .. } => shape.validate(),
+            Light::Directional { direction, .. } | Light::Spot { direction, .. }
                 if DVec3::from_array(direction).try_normalize().is_none() =>
             {
                 error("its direction must be finite and not zero")
@@ -124,9 +177,13 @@ impl Light {
         }
     }
 
-    /// The light in the form that shading uses. The light must be valid.
-    pub(crate) fn emitter(&self) -> Emitter {
-        match *self {
+    /// The light in the form that shading uses, if it has no extent. The light must be valid.
+    pub(crate) fn emitter(&self) -> Option<Emitter> {
+        let radius_squared = |falloff| match falloff {
+            Falloff::None => None,
+            Falloff::InverseSquare { radius } => Some(radius * radius),
+        };
+        Some(match *self {
             Light::Directional { direction, intensity } => Emitter::Directional(Incidence {
                 toward: -DVec3::from_array(direction).normalize(),
                 irradiance: DVec3::from_array(intensity.map(f64::from)),
@@ -134,22 +191,69 @@ impl Light {
             Light::Point { position, intensity, falloff } => Emitter::Point {
                 position: DVec3::from_array(position),
                 intensity: DVec3::from_array(intensity.map(f64::from)),
-                radius_squared: match falloff {
-                    Falloff::None => None,
-                    Falloff::InverseSquare { radius } => Some(radius * radius),
-                },
+                radius_squared: radius_squared(falloff),
+                cone: None,
             },
+            Light::Spot { position, direction, intensity, falloff, inner_degrees, outer_degrees } => {
+                let cos = |degrees: f64| libm::cos(degrees.to_radians());
+                let cone = Cone {
+                    axis: DVec3::from_array(direction).normalize(),
+                    cos_inner: cos(inner_degrees),
+                    cos_outer: cos(outer_degrees),
+                };
+                Emitter::Point {
+                    position: DVec3::from_array(position),
+                    intensity: DVec3::from_array(intensity.map(f64::from)),
+                    radius_squared: radius_squared(falloff),
+                    cone: Some(cone),
+                }
+            }
+            Light::Area { .. } => return None,
+        })
+    }
+}
+
+impl Light {
+    /// The light in the form that shading uses, if it has extent. The light must be valid.
+    pub(crate) fn area_emitter(&self) -> Option<AreaEmitter> {
+        match self {
+            Light::Area { shape, radiance } => Some(AreaEmitter::new(shape, *radiance)),
+            _ => None,
         }
     }
 }
 
-/// A light with everything computed that does not depend on the receiver.
+/// The cone of a spot light.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cone {
+    axis: DVec3,
+    cos_inner: f64,
+    cos_outer: f64,
+}
+
+impl Cone {
+    /// The share of the light that goes along the unit vector `away`: 1 inside, 0 outside, between them a smooth step of
+    /// the cosine.
+    fn share(&self, away: DVec3) -> f64 {
+        let cos = away.dot(self.axis);
+        if cos >= self.cos_inner {
+            1.0
+        } else if cos <= self.cos_outer {
+            0.0
+        } else {
+            let x = (cos - self.cos_outer) / (self.cos_inner - self.cos_outer);
+            x * x * (3.0 - 2.0 * x)
+        }
+    }
+}
+
+/// A light without extent, with everything computed that does not depend on the receiver.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Emitter {
     /// The same everywhere.
     Directional(Incidence),
-    /// From a point; `radius_squared` if it weakens.
-    Point { position: DVec3, intensity: DVec3, radius_squared: Option<f64> },
+    /// From a point; `radius_squared` if it weakens, `cone` if it is a spot light.
+    Point { position: DVec3, intensity: DVec3, radius_squared: Option<f64>, cone: Option<Cone> },
 }
 
 impl Emitter {
@@ -157,14 +261,19 @@ impl Emitter {
     pub(crate) fn incidence(&self, point: DVec3) -> Incidence {
         match *self {
             Emitter::Directional(incidence) => incidence,
-            Emitter::Point { position, intensity, radius_squared } => {
+            Emitter::Point { position, intensity, radius_squared, ref cone } => {
                 let offset = position - point;
                 let squared = offset.length_squared();
                 if squared == 0.0 {
                     return Incidence { toward: DVec3::ZERO, irradiance: DVec3::ZERO };
                 }
                 let scale = radius_squared.map_or(1.0, |floor| 1.0 / squared.max(floor));
-                Incidence { toward: offset / squared.sqrt(), irradiance: intensity * scale }
+                let toward = offset / squared.sqrt();
+                let mut irradiance = intensity * scale;
+                if let Some(cone) = cone {
+                    irradiance *= cone.share(-toward);
+                }
+                Incidence { toward, irradiance }
             }
         }
     }
@@ -192,7 +301,7 @@ mod tests {
     #[test]
     fn falloff_and_direction() {
         let near = Light::point([0.0, 2.0, 0.0], [1.0, 0.5, 0.0]);
-        let at = near.emitter().incidence(DVec3::ZERO);
+        let at = near.emitter().unwrap().incidence(DVec3::ZERO);
         assert_eq!(at.toward, DVec3::Y);
         assert_eq!(at.irradiance, DVec3::new(1.0, 0.5, 0.0));
         let weakening = Light::Point {
@@ -200,12 +309,49 @@ mod tests {
             intensity: [8.0; 3],
             falloff: Falloff::InverseSquare { radius: 1.0 },
         };
-        assert_eq!(weakening.emitter().incidence(DVec3::ZERO).irradiance, DVec3::splat(2.0));
-        assert_eq!(weakening.emitter().incidence(DVec3::new(0.0, 1.9, 0.0)).irradiance, DVec3::splat(8.0));
+        assert_eq!(weakening.emitter().unwrap().incidence(DVec3::ZERO).irradiance, DVec3::splat(2.0));
+        assert_eq!(
+            weakening.emitter().unwrap().incidence(DVec3::new(0.0, 1.9, 0.0)).irradiance,
+            DVec3::splat(8.0)
+        );
         assert_eq!(weakening.irradiance_max(), [8.0; 3]);
         let sun = Light::directional([0.0, -3.0, 0.0], [1.0; 3]);
-        assert_eq!(sun.emitter().incidence(DVec3::splat(1e9)).toward, DVec3::Y);
-        assert!(!weakening.emitter().incidence(DVec3::new(0.0, 2.0, 0.0)).irradiance.is_nan());
+        assert_eq!(sun.emitter().unwrap().incidence(DVec3::splat(1e9)).toward, DVec3::Y);
+        assert!(!weakening.emitter().unwrap().incidence(DVec3::new(0.0, 2.0, 0.0)).irradiance.is_nan());
+    }
+
+    #[test]
+    fn a_spot_light_is_a_point_light_in_its_cone() {
+        let spot = |inner_degrees, outer_degrees| Light::Spot {
+            position: [0.0, 2.0, 0.0],
+            direction: [0.0, -3.0, 0.0],
+            intensity: [4.0; 3],
+            falloff: Falloff::InverseSquare { radius: 0.5 },
+            inner_degrees,
+            outer_degrees,
+        };
+        let received =
+            |light: Light, x: f64| light.emitter().unwrap().incidence(DVec3::new(x, 0.0, 0.0)).irradiance.x;
+        let soft = spot(20.0, 45.0);
+        assert!(soft.validate().is_ok());
+        assert_eq!(received(soft, 0.0), 1.0);
+        // Just inside and just outside of the inner cone, half way of the step in cosine, and outside.
+        let tan = |degrees: f64| 2.0 * libm::tan(degrees.to_radians());
+        let at = |degrees: f64| {
+            received(soft, tan(degrees)) * (1.0 + libm::pow(libm::tan(degrees.to_radians()), 2.0))
+        };
+        assert!((at(19.99) - 1.0).abs() < 1e-12 && (at(20.01) - 1.0).abs() < 1e-5 && at(20.01) < 1.0);
+        let middle = 0.5 * (libm::cos(20f64.to_radians()) + libm::cos(45f64.to_radians()));
+        assert!((at(libm::acos(middle).to_degrees()) - 0.5).abs() < 1e-12);
+        assert_eq!(at(45.01), 0.0);
+        // A hard border, and senseless angles.
+        assert_eq!(
+            (received(spot(30.0, 30.0), tan(29.9)) > 0.0, received(spot(30.0, 30.0), tan(30.1))),
+            (true, 0.0)
+        );
+        for (inner, outer) in [(-1.0, 10.0), (20.0, 10.0), (0.0, 0.0), (0.0, 91.0), (f64::NAN, 10.0)] {
+            assert!(spot(inner, outer).validate().is_err(), "{inner} {outer}");
+        }
     }
 
     #[test]

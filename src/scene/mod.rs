@@ -1,17 +1,35 @@
 //! What is to be pictured: camera, lights, shading terms of the materials, and the [`EffectPlan`] that says which
 //! effects a scene calls for.
 //!
-//! Geometry is not here: it stays in the compiled file. Everything in a [`Scene`] is small and plain data.
+//! Geometry is not here: it stays in the compiled file. Everything in a [`Scene`] but the picture of an
+//! [`Environment`] is small and plain data. Each effect has a file of its own: `lens`, `motion`, `area_light`,
+//! `environment`, `finish`.
 
+mod area_light;
 mod camera;
 mod description;
-mod effects;
+mod effect;
+mod environment;
+mod finish;
+mod lens;
 mod light;
+mod motion;
+mod plan;
+mod scan;
+mod sphere;
 mod surface;
 
+pub(crate) use area_light::AreaEmitter;
+pub use area_light::LightShape;
 pub use camera::{Camera, Projection, View};
 pub use description::Scene;
-pub use effects::{Effect, EffectDecision, EffectOptions, EffectPlan, EffectSet};
+pub use effect::{Effect, EffectOptions, EffectSet};
+pub(crate) use environment::EnvironmentEmitter;
+pub use environment::{Environment, EnvironmentImage};
+pub use finish::Finish;
+pub use lens::Lens;
 pub(crate) use light::Emitter;
 pub use light::{Falloff, Light};
+pub use plan::{EffectDecision, EffectPlan};
+pub(crate) use sphere::{cosine_direction, frame_around, to_frame};
 pub use surface::Surface;

@@ -1,5 +1,6 @@
 //! From the material record of the compiled file to the terms that shading uses.
 
+use super::Finish;
 use crate::model::MaterialRecord;
 
 /// Shading terms of a material, derived once per render.
@@ -34,6 +35,10 @@ pub struct Surface {
     pub absorption: [f64; 3],
     /// At least 1; exactly 1 passes light straight on.
     pub refractive_index: f64,
+    /// GGX roughness of mirror and glass; 0 if smooth.
+    pub alpha: f64,
+    /// Rank among overlapping media.
+    pub priority: u8,
 }
 
 impl Surface {
@@ -43,6 +48,11 @@ impl Surface {
     /// Derives the terms as the type's table says. Numbers that make no sense (negative, not finite) count as 0,
     /// a missing refractive index as 1.
     pub fn from_record(record: &MaterialRecord) -> Surface {
+        Surface::with_finish(record, &Finish::default())
+    }
+
+    /// [`Surface::from_record`] and what a scene adds to it.
+    pub fn with_finish(record: &MaterialRecord, finish: &Finish) -> Surface {
         let opacity =
             if record.opacity.is_finite() { f64::from(record.opacity).clamp(0.0, 1.0) } else { 1.0 };
         let specular = record.specular.map(sensible);
@@ -63,6 +73,15 @@ impl Surface {
                 }
             }),
             refractive_index: if index >= 1.0 { index } else { 1.0 },
+            alpha: finish.alpha(),
+            priority: finish.priority.unwrap_or(0),
+        }
+    }
+
+    /// Makes the diffuse part small enough that the surface sends on no more than it gets.
+    pub(super) fn keep_energy(&mut self) {
+        for (diffuse, mirror) in self.diffuse.iter_mut().zip(self.mirror) {
+            *diffuse = diffuse.min((1.0 - mirror - self.transmission).max(0.0));
         }
     }
 

@@ -2,6 +2,8 @@
 
 #[cfg(feature = "exr")]
 mod exr;
+#[cfg(feature = "exr")]
+mod exr_layers;
 mod pfm;
 #[cfg(feature = "png")]
 mod png;
@@ -11,7 +13,7 @@ mod srgb;
 
 use std::path::Path;
 
-use super::Film;
+use super::{Film, Layers};
 use crate::error::RenderError;
 
 /// A kind of picture file.
@@ -57,6 +59,26 @@ pub(super) fn write(film: &Film, path: &Path) -> Result<(), RenderError> {
         // `of_path` does not give formats that the build leaves out.
         #[allow(unreachable_patterns)]
         _ => Err(std::io::ErrorKind::Unsupported.into()),
+    })
+    .map_err(|error| RenderError::Write { path: path.to_path_buf(), error })
+}
+
+/// Writes `film` with `layers` to `path`; see [`Layers::write`].
+pub(super) fn write_layers(film: &Film, layers: &Layers, path: &Path) -> Result<(), RenderError> {
+    if ImageFormat::of_path(path)? != ImageFormat::Exr {
+        let reason = format!("{}: layers need a name that ends in .exr", path.display());
+        return Err(RenderError::Setting { what: "image file", reason });
+    }
+    publish::atomically(path, |file| {
+        #[cfg(feature = "exr")]
+        let result = exr_layers::encode(film, layers, file);
+        // `of_path` does not give a format that the build leaves out.
+        #[cfg(not(feature = "exr"))]
+        let result = {
+            let _ = (film, layers, file);
+            Err(std::io::ErrorKind::Unsupported.into())
+        };
+        result
     })
     .map_err(|error| RenderError::Write { path: path.to_path_buf(), error })
 }

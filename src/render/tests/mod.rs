@@ -1,7 +1,12 @@
 //! Pictures of a few triangles through a query that tries every triangle: what shading and ray trees do is seen here
 //! without octree, cache or blocks.
 
+mod effects;
 mod invariance;
+#[cfg(feature = "exr")]
+mod layers;
+mod light_transport;
+mod media;
 mod octree;
 mod shading;
 mod trees;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::effects::cases;
 use super::invariance::{settings, still_life};
 use super::*;
 use crate::LazyOctree;
@@ -96,6 +97,28 @@ fn the_octree_gives_the_naive_picture_for_any_blocks_cache_source_and_threads() 
         assert_eq!(json["effects"]["primary_rays"], 37 * 29 * 3);
         assert_eq!(json["complete"], true);
         assert_eq!(json["plan"].as_array().unwrap().len(), Effect::ALL.len());
+    }
+}
+
+#[test]
+fn the_octree_gives_the_naive_picture_for_every_effect() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("effects.outcrop");
+    for case in cases() {
+        let mut mesh = case.mesh;
+        for (vertices, _) in &mut mesh.triangles {
+            *vertices = vertices.map(|vertex| vertex.map(|x| f64::from(x as f32)));
+        }
+        let reference = render(&mesh, &case.scene, &case.settings);
+        compile(&mesh, &path, 4 << 10, Codec::Lz4);
+        let budget = MemoryBudget::new(Bytes::mib(64));
+        let options = OctreeOptions { tracers_max: 2, slots_max: Some(3), ..OctreeOptions::default() };
+        let octree = LazyOctree::open(Arc::new(DiskSource::open(&path).unwrap()), &budget, options).unwrap();
+        let renderer = Renderer::new(&octree, &case.scene, &case.settings, &budget).unwrap();
+        let image = renderer.render(&Threads::Count(2), &mut |_| Control::Continue).unwrap();
+        assert!(image.film.pixels() == reference.film.pixels(), "{:?}", case.effect);
+        assert_eq!(image.report.effects, reference.totals.effects);
+        assert_eq!(image.report.trace.rays, image.report.effects.rays(), "{:?}", case.effect);
     }
 }
 

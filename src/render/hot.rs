@@ -1,0 +1,36 @@
+//! The compiled forms of the path loop: which effects it can have at all (I6).
+//!
+//! The loop is written once, generic over one of these sets. What a set leaves out is not there in its code: no test, no
+//! state beside the rays. Combinations that are not here run in [`Sampled`] and are gated at run time.
+
+/// Effects that a compiled path loop knows.
+pub(super) trait EffectsOfLoop {
+    /// Rays go on from hits: reflection, transmission.
+    const SECONDARY: bool;
+    /// Everything else: lights with extent, rough surfaces, interreflection, nested media, luck.
+    const SAMPLED: bool;
+}
+
+/// Direct light and shadows on matt surfaces: a picture of bricks costs what a brick renderer costs.
+pub(super) struct Matt;
+
+impl EffectsOfLoop for Matt {
+    const SECONDARY: bool = false;
+    const SAMPLED: bool = false;
+}
+
+/// Smooth mirrors and glass as well.
+pub(super) struct Whitted;
+
+impl EffectsOfLoop for Whitted {
+    const SECONDARY: bool = true;
+    const SAMPLED: bool = false;
+}
+
+/// Everything.
+pub(super) struct Sampled;
+
+impl EffectsOfLoop for Sampled {
+    const SECONDARY: bool = true;
+    const SAMPLED: bool = true;
+}

@@ -1,0 +1,133 @@
+//! What lies behind each pixel, beside its colour: depth, normal, triangle, material, albedo. For denoisers, compositing and
+//! picking.
+
+use std::path::Path;
+
+use super::film::Film;
+use super::image;
+use super::progress::Progress;
+use super::query::RayQuery;
+use super::stage::Stage;
+use crate::budget::{MemoryBudget, Reservation};
+use crate::compile::Control;
+use crate::error::RenderError;
+use crate::geom::Ray;
+use crate::units::{Bytes, MaterialId, TriangleId};
+
+/// What the ray through the middle of a pixel meets first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LayerPixel {
+    /// Distance from the eye (from the image plane of an orthographic camera) along the ray.
+    pub depth: f32,
+    /// The triangle's unit normal on the side that is seen; zero for a triangle without area.
+    pub normal: [f32; 3],
+    /// The triangle.
+    pub triangle: TriangleId,
+    /// Its material.
+    pub material: MaterialId,
+    /// Diffuse and mirror reflectance together, at most 1: what a denoiser divides by.
+    pub albedo: [f32; 3],
+}
+
+/// One [`LayerPixel`] for each pixel, rows from the top; none where nothing is hit. Through the middle of each pixel and of the
+/// lens, when the shutter opens: a pure function of scene, model and image size. Drawn from the memory budget until
+/// dropped.
+#[derive(Debug)]
+pub struct Layers {
+    width: u32,
+    height: u32,
+    pixels: Vec<Option<LayerPixel>>,
+    _reservation: Reservation,
+}
+
+impl Layers {
+    /// Width in pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// All pixels, row by row from the top.
+    pub fn pixels(&self) -> &[Option<LayerPixel>] {
+        &self.pixels
+    }
+
+    /// Writes `film` and these layers as one OpenEXR file (feature `exr`): channels `R G B`, `Z` (infinite where nothing is hit),
+    /// `N.X N.Y N.Z`, `albedo.R albedo.G albedo.B`, and as 32-bit integers `triangle.low`, `triangle.high` and `material`, each
+    /// with all bits set where nothing is hit. The file appears under its name only when it is whole.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] if the film has another size, or `path` does not end in `.exr`, or the build lacks the
+    /// feature; [`RenderError::Write`] if the file cannot be written.
+    pub fn write(&self, film: &Film, path: &Path) -> Result<(), RenderError> {
+        if (film.width(), film.height()) != (self.width, self.height) {
+            let reason = format!(
+                "the film has {} x {} pixels, the layers {} x {}",
+                film.width(),
+                film.height(),
+                self.width,
+                self.height
+            );
+            return Err(RenderError::Setting { what: "layers", reason });
+        }
+        image::write_layers(film, self, path)
+    }
+
+    /// What layers of an image take from the budget.
+    pub(super) fn bytes_needed(stage: &Stage) -> Bytes {
+        let count = u64::from(stage.grid.width) * u64::from(stage.grid.height);
+        /// Channels of 32 bits that a file is written from.
+        const WRITTEN_BYTES: u64 = 13 * 4;
+        Bytes(count * (size_of::<Option<LayerPixel>>() as u64 + WRITTEN_BYTES))
+    }
+}
+
+/// Traces one ray per pixel, row by row.
+pub(super) fn layers(
+    stage: &Stage,
+    budget: &MemoryBudget,
+    query: &mut impl RayQuery,
+    progress: &mut dyn FnMut(Progress) -> Control,
+) -> Result<Layers, RenderError> {
+    let (width, height) = (stage.grid.width, stage.grid.height);
+    let reservation = budget.reserve(Layers::bytes_needed(stage), "the layers")?;
+    let row_bytes = u64::from(width) * (size_of::<Ray>() + size_of::<Option<crate::trace::Hit>>()) as u64;
+    let _row = budget.reserve(Bytes(row_bytes), "a row of the layers")?;
+    let mut pixels = Vec::with_capacity(width as usize * height as usize);
+    let mut rays = Vec::with_capacity(width as usize);
+    let mut hits = vec![None; width as usize];
+    for y in 0..height {
+        rays.clear();
+        rays.extend((0..width).map(|x| stage.view.ray(f64::from(x) + 0.5, f64::from(y) + 0.5)));
+        query.closest_hits(&rays, &mut hits)?;
+        pixels.extend(rays.iter().zip(&hits).map(|(ray, hit)| {
+            hit.map(|hit| {
+                let normal = glam::DVec3::from_array(hit.normal()).normalize_or_zero();
+                let side = if normal.dot(glam::DVec3::from_array(ray.direction)) > 0.0 { -1.0 } else { 1.0 };
+                let shader = stage.shader(hit.material);
+                let albedo = (shader.diffuse + shader.mirror).min(glam::DVec3::ONE);
+                LayerPixel {
+                    depth: hit.t as f32,
+                    normal: (normal * side).to_array().map(|x| x as f32),
+                    triangle: hit.triangle,
+                    material: hit.material,
+                    albedo: albedo.to_array().map(|x| x as f32),
+                }
+            })
+        }));
+        let state = Progress {
+            samples: u64::from(y + 1) * u64::from(width),
+            samples_total: u64::from(height) * u64::from(width),
+            tiles: y + 1,
+            tiles_total: height,
+        };
+        if progress(state) == Control::Cancel {
+            return Err(RenderError::Cancelled);
+        }
+    }
+    Ok(Layers { width, height, pixels, _reservation: reservation })
+}

@@ -1,0 +1,245 @@
+//! Every effect: absent at no cost, present to effect, and the same picture however much is forced.
+
+use super::*;
+use crate::render::EffectCounters;
+use crate::scene::{Effect, EffectSet, Environment, EnvironmentImage, Finish, Lens, Light, LightShape};
+
+/// A room with something of each kind, described by one material per body.
+pub(super) struct Case {
+    pub effect: Effect,
+    pub mesh: Mesh,
+    pub scene: Scene,
+    pub settings: RenderSettings,
+}
+
+fn settings() -> RenderSettings {
+    RenderSettings { samples_per_pixel: 2, work_budget: 64, ..RenderSettings::new(14, 11) }
+}
+
+fn camera() -> Camera {
+    Camera::pinhole([1.0, 1.5, 6.0], [0.0; 3], [0.0, 1.0, 0.0], 35.0).unwrap()
+}
+
+fn named(name: &str, record: MaterialRecord) -> MaterialRecord {
+    MaterialRecord { name: name.to_string(), ..record }
+}
+
+/// Three boxes on a ground, of these materials.
+fn boxes(materials: [MaterialRecord; 4]) -> Mesh {
+    Mesh::new(materials)
+        .sheet(0, [-5.0, -1.0, -5.0], [0.0, 0.0, 10.0], [10.0, 0.0, 0.0])
+        .cuboid(1, [-1.5, -1.0, -2.0], [-0.5, 1.0, -1.0])
+        .cuboid(2, [-0.3, -0.8, -0.5], [0.6, 0.4, 0.5])
+        .cuboid(3, [0.3, -0.5, -1.0], [1.6, 0.8, 0.3])
+}
+
+fn bricks() -> Mesh {
+    boxes([0.2, 0.4, 0.6, 0.8].map(matt))
+}
+
+fn sunny() -> Scene {
+    Scene::new(camera())
+        .with_background([0.3, 0.4, 0.6])
+        .with_ambient([0.05; 3])
+        .with_light(Light::directional([0.3, -1.0, -0.4], [0.5, 0.45, 0.4]))
+}
+
+pub(super) fn panel() -> Light {
+    let shape =
+        LightShape::Rectangle { corner: [-1.0, 3.0, -1.0], edges: [[2.0, 0.0, 0.0], [0.0, 0.0, 2.0]] };
+    Light::area(shape, [2.0, 1.8, 1.5])
+}
+
+/// A sky with a small sun.
+fn sky() -> Environment {
+    let pixels = (0..32 * 16).map(|index| match (index % 32, index / 32) {
+        (10, 3) => [60.0, 55.0, 50.0],
+        (_, 0..8) => [0.4, 0.5, 0.7],
+        _ => [0.1, 0.08, 0.05],
+    });
+    let budget = MemoryBudget::new(Bytes::mib(1));
+    Environment::image(Arc::new(EnvironmentImage::new(32, 16, pixels.collect(), &budget).unwrap()))
+}
+
+/// One scene for each effect, and the still life of today's effects.
+pub(super) fn cases() -> Vec<Case> {
+    let glass = || named("glass", clear(1.5));
+    let chrome = || named("chrome", mirror(0.8));
+    let smoke = MaterialRecord { transmission: [0.9, 0.6, 0.4], ..clear(1.2) };
+    let lens = Lens { radius: 0.2, focus_distance: 5.0 };
+    let end = Camera::pinhole([1.3, 1.5, 6.0], [0.2, 0.0, 0.0], [0.0, 1.0, 0.0], 35.0).unwrap();
+    let case = |effect, mesh, scene| Case { effect, mesh, scene, settings: settings() };
+    vec![
+        case(Effect::DirectLight, bricks(), sunny()),
+        case(Effect::Shadows, bricks(), sunny()),
+        case(Effect::AreaLight, bricks(), Scene::new(camera()).with_light(panel())),
+        case(
+            Effect::AreaLight,
+            boxes([matt(0.5), glass(), chrome(), matt(0.2)]),
+            sunny().with_light(panel()),
+        ),
+        case(Effect::EnvironmentLight, bricks(), Scene::new(camera()).with_environment(sky())),
+        case(
+            Effect::EnvironmentLight,
+            bricks(),
+            Scene::new(camera()).with_environment(Environment::Constant([0.5, 0.6, 0.7])),
+        ),
+        case(Effect::Reflection, boxes([matt(0.5), chrome(), matt(0.3), mirror(0.4)]), sunny()),
+        case(
+            Effect::GlossyReflection,
+            boxes([matt(0.5), chrome(), matt(0.3), mirror(0.4)]),
+            sunny().with_light(panel()).with_finish("chrome", Finish::rough(0.5)),
+        ),
+        case(Effect::Transmission, boxes([matt(0.5), glass(), clear(1.0), matt(0.3)]), sunny()),
+        case(
+            Effect::RoughRefraction,
+            boxes([matt(0.5), matt(0.4), glass(), matt(0.3)]),
+            sunny().with_light(panel()).with_finish("glass", Finish::rough(0.4)),
+        ),
+        case(Effect::Absorption, boxes([matt(0.5), smoke.clone(), matt(0.2), smoke.clone()]), sunny()),
+        case(
+            Effect::NestedMedia,
+            boxes([matt(0.5), matt(0.4), glass(), named("water", smoke)]),
+            sunny().with_finish("glass", Finish::nested(2)).with_finish("water", Finish::nested(1)),
+        ),
+        case(Effect::Interreflection, bricks(), sunny().with_interreflection()),
+        case(
+            Effect::Interreflection,
+            boxes([matt(0.5), chrome(), glass(), matt(0.7)]),
+            sunny().with_light(panel()).with_environment(sky()).with_interreflection(),
+        ),
+        case(Effect::DepthOfField, bricks(), sunny().with_camera(camera().with_lens(lens).unwrap())),
+        case(Effect::MotionBlur, bricks(), sunny().with_camera(camera().moving_to(&end).unwrap())),
+        Case {
+            settings: RenderSettings { samples_per_pixel: 4, ..settings() },
+            ..case(Effect::Antialiasing, bricks(), sunny())
+        },
+    ]
+}
+
+/// What an effect did; none for those without work of their own.
+fn work_of(effect: Effect, counters: &EffectCounters) -> Option<u64> {
+    Some(match effect {
+        Effect::DirectLight | Effect::Antialiasing => return None,
+        Effect::Shadows => counters.shadow_rays + counters.shadow_segments,
+        Effect::AreaLight => counters.area_light_samples + counters.light_crossings,
+        Effect::EnvironmentLight => counters.environment_samples,
+        Effect::Reflection => counters.reflection_rays,
+        Effect::GlossyReflection => counters.glossy_rays,
+        Effect::Transmission => counters.transmission_rays,
+        Effect::RoughRefraction => counters.frosted_rays,
+        Effect::Absorption => counters.absorbed_segments,
+        Effect::NestedMedia => counters.medium_rays + counters.passed_surfaces + counters.medium_overflows,
+        Effect::Interreflection => counters.bounce_rays,
+        Effect::DepthOfField => counters.lens_rays,
+        Effect::MotionBlur => counters.shutter_rays,
+    })
+}
+
+/// Whether the effect draws random numbers.
+fn is_sampled(effect: Effect) -> bool {
+    use Effect::*;
+    matches!(
+        effect,
+        AreaLight
+            | EnvironmentLight
+            | GlossyReflection
+            | RoughRefraction
+            | Interreflection
+            | DepthOfField
+            | MotionBlur
+    )
+}
+
+#[test]
+fn every_effect_has_a_scene() {
+    let covered: EffectSet = cases().iter().map(|case| case.effect).collect();
+    assert_eq!(covered, EffectSet::ALL);
+}
+
+#[test]
+fn an_effect_works_only_in_scenes_that_call_for_it() {
+    for case in cases() {
+        let plan =
+            EffectPlan::of_materials(&case.scene, &case.mesh.materials, &case.settings.effect_options());
+        assert!(plan.has(case.effect), "{}", plan.explain());
+        let counters = render(&case.mesh, &case.scene, &case.settings).totals.effects;
+        for effect in Effect::ALL {
+            let Some(work) = work_of(effect, &counters) else { continue };
+            let context = format!("{effect:?} in the scene of {:?}: {counters:?}", case.effect);
+            assert!(plan.has(effect) || work == 0, "{context}");
+            assert!(effect != case.effect || work > 0, "{context}");
+        }
+        let draws = Effect::ALL.into_iter().any(|effect| is_sampled(effect) && plan.has(effect));
+        assert_eq!(counters.random_numbers > 0, draws, "{:?}: {counters:?}", case.effect);
+        assert_eq!((counters.forced_rays, counters.medium_overflows), (0, 0));
+    }
+}
+
+#[test]
+fn leaving_an_effect_out_changes_the_picture_and_stops_its_work() {
+    for case in cases() {
+        let with = render(&case.mesh, &case.scene, &case.settings);
+        let mut settings = case.settings;
+        settings.switched_off = settings.switched_off.with(case.effect);
+        if case.effect == Effect::Antialiasing {
+            settings.samples_per_pixel = 1;
+        }
+        let without = render(&case.mesh, &case.scene, &settings);
+        assert!(with.film.pixels() != without.film.pixels(), "{:?}", case.effect);
+        assert!(
+            work_of(case.effect, &without.totals.effects).is_none_or(|work| work == 0),
+            "{:?}",
+            case.effect
+        );
+    }
+}
+
+#[test]
+fn forcing_every_effect_changes_no_bit_of_any_scene() {
+    for case in cases() {
+        let planned = render(&case.mesh, &case.scene, &case.settings);
+        let forced =
+            render(&case.mesh, &case.scene, &RenderSettings { forced: EffectSet::ALL, ..case.settings });
+        assert!(planned.film.pixels() == forced.film.pixels(), "{:?}", case.effect);
+        assert!(forced.totals.effects.forced_rays > 0);
+        // And one by one.
+        for effect in Effect::ALL {
+            let settings = RenderSettings { forced: EffectSet::EMPTY.with(effect), ..case.settings };
+            let forced = render(&case.mesh, &case.scene, &settings);
+            assert!(planned.film.pixels() == forced.film.pixels(), "{effect:?} in {:?}", case.effect);
+        }
+    }
+}
+
+#[test]
+fn tiles_batches_and_threads_do_not_show_in_sampled_effects() {
+    for case in cases() {
+        let reference = render(&case.mesh, &case.scene, &case.settings);
+        for (tile_size, batch_samples, threads) in
+            [(4, 1024, Threads::One), (64, 3, Threads::One), (8, 17, Threads::Count(2))]
+        {
+            let varied = RenderSettings { tile_size, batch_samples, ..case.settings };
+            let picture = render_until(&case.mesh, &case.scene, &varied, &threads, u64::MAX, &mut |_| {
+                Control::Continue
+            })
+            .unwrap();
+            assert!(picture.film.pixels() == reference.film.pixels(), "{:?} {tile_size}", case.effect);
+            assert_eq!(picture.totals.effects, reference.totals.effects, "{:?}", case.effect);
+        }
+    }
+}
+
+#[test]
+fn the_seed_shows_exactly_where_luck_has_a_part() {
+    for case in cases() {
+        let settings = RenderSettings { samples_per_pixel: 1, ..case.settings };
+        let plan = EffectPlan::of_materials(&case.scene, &case.mesh.materials, &settings.effect_options());
+        let draws = Effect::ALL.into_iter().any(|effect| is_sampled(effect) && plan.has(effect));
+        let [a, b] = [1, 2].map(|seed| {
+            let film = render(&case.mesh, &case.scene, &RenderSettings { seed, ..settings }).film;
+            film.pixels().to_vec()
+        });
+        assert_eq!(a != b, draws, "{:?}", case.effect);
+    }
+}

@@ -1,0 +1,237 @@
+//! The traits of a scene and its materials that call for effects, and the verdict on each effect in words.
+
+use super::effect::{Effect, EffectOptions, EffectSet};
+use super::{Light, Scene, Surface};
+use crate::model::MaterialRecord;
+
+/// Whether an effect is called for, and why or why not.
+pub(super) struct Verdict {
+    pub called_for: bool,
+    pub reason: String,
+}
+
+fn yes(reason: impl Into<String>) -> Verdict {
+    Verdict { called_for: true, reason: reason.into() }
+}
+
+fn no(reason: impl Into<String>) -> Verdict {
+    Verdict { called_for: false, reason: reason.into() }
+}
+
+/// What the materials in use and the lights are like.
+#[derive(Default)]
+pub(super) struct Traits {
+    lit: Group,
+    diffuse: Group,
+    glowing: Group,
+    mirrors: Group,
+    glossy: Group,
+    glass: Group,
+    frosted: Group,
+    transparent: Group,
+    absorbing: Group,
+    ranked: Group,
+    point_lights: usize,
+    area_lights: usize,
+}
+
+impl Traits {
+    pub fn of<'m>(scene: &Scene, materials: impl IntoIterator<Item = &'m MaterialRecord>) -> Traits {
+        let mut traits = Traits::default();
+        for record in materials {
+            let finish = scene.finish(record);
+            let surface = Surface::with_finish(record, &finish);
+            let rough = surface.alpha > 0.0;
+            traits.lit.add(surface.is_lit() || rough && (surface.is_mirror() || surface.refracts()), record);
+            traits.diffuse.add(surface.diffuse != [0.0; 3], record);
+            traits.glowing.add(surface.emission != [0.0; 3], record);
+            traits.mirrors.add(surface.is_mirror(), record);
+            traits.glossy.add(surface.is_mirror() && rough, record);
+            traits.glass.add(surface.refracts(), record);
+            traits.frosted.add(surface.refracts() && rough, record);
+            traits.transparent.add(surface.is_transparent(), record);
+            traits.absorbing.add(surface.is_transparent() && surface.absorption != [0.0; 3], record);
+            traits.ranked.add(surface.is_transparent() && finish.priority.is_some(), record);
+        }
+        let shining = |light: &&Light| !light.is_dark();
+        traits.area_lights = scene.lights().iter().filter(shining).filter(|light| light.is_area()).count();
+        traits.point_lights = scene.lights().iter().filter(shining).count() - traits.area_lights;
+        traits
+    }
+
+    /// The verdict on `effect` in a plan that holds `needed` so far.
+    pub fn verdict(
+        &self,
+        effect: Effect,
+        scene: &Scene,
+        needed: EffectSet,
+        options: &EffectOptions,
+    ) -> Verdict {
+        let count = |count: usize, one: &str, many: &str| match count {
+            1 => format!("1 {one}"),
+            count => format!("{count} {many}"),
+        };
+        let lights = count(self.point_lights, "light", "lights");
+        let area_lights = count(self.area_lights, "area light", "area lights");
+        let is_off = |effect| options.switched_off.contains(effect);
+        match effect {
+            Effect::DirectLight => match (self.point_lights, self.lit.count) {
+                (0, _) => no("the scene has no light without extent that shines"),
+                (_, 0) => no("no material is diffuse or has a highlight"),
+                _ => yes(format!("{lights} on {}", self.lit.describe("lit material", "lit materials"))),
+            },
+            Effect::Shadows => {
+                let mut hidden = Vec::new();
+                if needed.contains(Effect::DirectLight) {
+                    hidden.push(lights);
+                }
+                // These come after it, but only the light that they give matters here.
+                if self.area_lights > 0 && self.lit.count > 0 && !is_off(Effect::AreaLight) {
+                    hidden.push(area_lights);
+                }
+                if self.has_lighting_environment(scene) && !is_off(Effect::EnvironmentLight) {
+                    hidden.push("the environment".to_string());
+                }
+                match hidden.is_empty() {
+                    true => no("there is no direct light"),
+                    false => yes(format!("{} may be hidden", hidden.join(" and "))),
+                }
+            }
+            Effect::AreaLight => match self.area_lights {
+                0 => no("no light has extent"),
+                _ if self.lit.count == 0 => yes(format!("{area_lights} may be seen")),
+                _ => yes(format!("{area_lights} on {}", self.lit.describe("lit material", "lit materials"))),
+            },
+            Effect::EnvironmentLight => match scene.environment() {
+                None => no("the scene has no environment"),
+                Some(environment) if environment.is_dark() => no("the environment is black"),
+                Some(_) if self.lit.count == 0 => no("no material is diffuse or has a highlight"),
+                Some(_) => yes(format!(
+                    "the environment shines on {}",
+                    self.lit.describe("lit material", "lit materials")
+                )),
+            },
+            Effect::Reflection => {
+                // Without transmission nothing refracts, so glass alone calls for no reflection either.
+                let glass_reflects = self.glass.count > 0 && !is_off(Effect::Transmission);
+                let mirrors = self.mirrors.describe("mirror", "mirrors");
+                let glass = format!("{} by Fresnel", self.glass.describe("glass", "glasses"));
+                match (self.mirrors.count > 0, glass_reflects) {
+                    (true, true) => yes(format!("{mirrors}; {glass}")),
+                    (true, false) => yes(mirrors),
+                    (false, true) => yes(glass),
+                    (false, false) => no("no material is a mirror or refracts"),
+                }
+            }
+            Effect::GlossyReflection => {
+                self.glossy.calls_if(needed, Effect::Reflection, ["rough mirror", "rough mirrors"])
+            }
+            Effect::Transmission => match self.transparent.count {
+                0 => no("every material is opaque"),
+                _ => yes(self.transparent.describe("transparent material", "transparent materials")),
+            },
+            Effect::RoughRefraction => {
+                self.frosted.calls_if(needed, Effect::Transmission, ["rough glass", "rough glasses"])
+            }
+            Effect::Absorption => self.absorbing.calls_if(
+                needed,
+                Effect::Transmission,
+                ["absorbing material", "absorbing materials"],
+            ),
+            Effect::NestedMedia => {
+                if self.ranked.count == 0 {
+                    no("no transparent material has a priority")
+                } else if self.transparent.count < 2 {
+                    no("only one material is transparent, so it has no other to nest with")
+                } else {
+                    self.ranked.calls_if(
+                        needed,
+                        Effect::Transmission,
+                        ["material with a priority", "materials with a priority"],
+                    )
+                }
+            }
+            Effect::Interreflection => {
+                if !scene.has_interreflection() {
+                    no("the scene did not ask for it")
+                } else if self.diffuse.count == 0 {
+                    no("no material is diffuse")
+                } else if !self.shines(scene) {
+                    no("nothing in the scene shines")
+                } else {
+                    yes(format!("between {}", self.diffuse.describe("diffuse material", "diffuse materials")))
+                }
+            }
+            Effect::DepthOfField => match scene.camera().lens() {
+                None => no("the camera has no lens"),
+                Some(lens) if lens.radius == 0.0 => no("the lens has radius 0"),
+                Some(lens) => {
+                    yes(format!("a lens of radius {} in focus at {}", lens.radius, lens.focus_distance))
+                }
+            },
+            Effect::MotionBlur => match scene.camera().is_moving() {
+                false => no("the camera rests"),
+                true => yes("the camera moves while the shutter is open"),
+            },
+            Effect::Antialiasing => match options.samples_per_pixel {
+                0 | 1 => no("one sample per pixel was asked for"),
+                samples => yes(format!("{samples} samples per pixel were asked for")),
+            },
+        }
+    }
+
+    fn has_lighting_environment(&self, scene: &Scene) -> bool {
+        self.lit.count > 0 && scene.environment().is_some_and(|environment| !environment.is_dark())
+    }
+
+    /// Whether there is any light to be passed on.
+    fn shines(&self, scene: &Scene) -> bool {
+        let surroundings = match scene.environment() {
+            Some(environment) => !environment.is_dark(),
+            None => scene.background() != [0.0; 3],
+        };
+        surroundings
+            || self.point_lights + self.area_lights + self.glowing.count > 0
+            || scene.ambient() != [0.0; 3]
+    }
+}
+
+/// Materials that share a trait: how many, and the first few names.
+#[derive(Default)]
+struct Group {
+    count: usize,
+    names: Vec<String>,
+}
+
+impl Group {
+    const NAMES_MAX: usize = 3;
+    /// Names come from the model file; a picture's report is no place for a megabyte of them.
+    const NAME_CHARS_MAX: usize = 40;
+
+    fn add(&mut self, member: bool, record: &MaterialRecord) {
+        if member {
+            self.count += 1;
+            if self.names.len() < Self::NAMES_MAX {
+                let name: String = record.name.chars().take(Self::NAME_CHARS_MAX).collect();
+                self.names.push(if name.is_empty() { "the default material".to_string() } else { name });
+            }
+        }
+    }
+
+    fn describe(&self, one: &str, many: &str) -> String {
+        let noun = if self.count == 1 { one } else { many };
+        let more = if self.count > self.names.len() { ", ..." } else { "" };
+        format!("{} {noun}: {}{more}", self.count, self.names.join(", "))
+    }
+
+    /// The verdict on an effect that rests on `basis`.
+    fn calls_if(&self, needed: EffectSet, basis: Effect, [one, many]: [&str; 2]) -> Verdict {
+        if self.count == 0 {
+            no(format!("there is no {one}"))
+        } else if !needed.contains(basis) {
+            no(format!("there is no {}", basis.name()))
+        } else {
+            yes(self.describe(one, many))
+        }
+    }
+}
