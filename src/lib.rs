@@ -28,10 +28,12 @@
 //! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
+//! 1. [`accuracy`]: error goals, certificates, what accuracy costs
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
 pub mod access;
+pub mod accuracy;
 pub mod block;
 pub mod budget;
 pub mod cache;

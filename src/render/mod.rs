@@ -5,12 +5,14 @@
 //! not shared. An effect that the [`EffectPlan`](crate::scene::EffectPlan) leaves out makes no ray (I6). An error
 //! in a query ends the render; there is never a hole in a picture that was returned as complete.
 
+mod adaptive;
 mod counters;
 mod film;
 mod image;
 mod json;
 mod optics;
 mod paths;
+pub(crate) mod probe;
 mod progress;
 mod query;
 mod renderer;
@@ -23,14 +25,18 @@ mod tiles;
 mod workers;
 
 pub use crate::compile::{Control, Threads};
+pub use adaptive::AdaptiveSampling;
+pub(crate) use adaptive::normal_quantile;
 pub use counters::EffectCounters;
-pub use film::Film;
+pub use film::{Film, PixelStatistics};
 pub use image::ImageFormat;
 pub use progress::Progress;
 pub use renderer::{RenderedImage, Renderer};
 pub use report::{Outcome, RenderReport, WorkerSeconds};
 pub use sampling::Filter;
 pub use settings::RenderSettings;
+pub(crate) use tiles::TileGrid;
+pub(crate) use workers::worker_count;
 
 #[cfg(test)]
 mod tests;

@@ -71,6 +71,8 @@ struct Child {
 /// Traces batches of samples; one per thread.
 pub(crate) struct PathTracer<'s, Q> {
     stage: &'s Stage,
+    /// Most rays of one call.
+    pub batch_samples: usize,
     pub query: Q,
     pub counters: EffectCounters,
     pub seconds: WorkerSeconds,
@@ -85,6 +87,8 @@ pub(crate) struct PathTracer<'s, Q> {
     waiting_counts: Vec<u8>,
     stack_depth: usize,
     radiance: Vec<DVec3>,
+    /// Per slot: the most that any channel may lack because something was not followed.
+    lost: Vec<f64>,
     shadows: ShadowBatch,
     /// Rays of forced effects that cannot matter.
     forced: Vec<Ray>,
@@ -122,6 +126,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         let sizes = Sizes::of(stage);
         PathTracer {
             stage,
+            batch_samples: sizes.batch,
             query,
             counters: EffectCounters::default(),
             seconds: WorkerSeconds::default(),
@@ -135,31 +140,45 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             waiting_counts: vec![0; sizes.batch],
             stack_depth: sizes.stack_depth,
             radiance: Vec::with_capacity(sizes.batch),
+            lost: Vec::with_capacity(sizes.batch),
             shadows: ShadowBatch::new(sizes.shadows, stage.transparent.is_some()),
             forced: Vec::with_capacity(sizes.forced),
         }
     }
 
-    /// Radiance of each camera ray, in their order. At most `batch_samples` rays.
+    /// Computes the radiance of each camera ray, in their order. At most [`PathTracer::batch_samples`] rays.
     ///
     /// # Errors
     /// Those of the query; nothing that was computed is to be used then.
-    pub fn trace(&mut self, camera_rays: impl Iterator<Item = Ray>) -> Result<&[DVec3], TraceError> {
+    pub fn trace(&mut self, camera_rays: impl Iterator<Item = Ray>) -> Result<(), TraceError> {
         self.heads.clear();
         self.rays.clear();
         self.radiance.clear();
+        self.lost.clear();
         let work = self.stage.settings.work_budget;
         for (slot, ray) in camera_rays.enumerate() {
             self.rays.push(ray);
             self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
         }
         self.radiance.resize(self.heads.len(), DVec3::ZERO);
+        self.lost.resize(self.heads.len(), 0.0);
         self.counters.samples += self.heads.len() as u64;
         self.counters.primary_rays += self.heads.len() as u64;
         while !self.heads.is_empty() {
             self.step()?;
         }
-        Ok(&self.radiance)
+        Ok(())
+    }
+
+    /// Radiance of each ray of the last [`PathTracer::trace`].
+    pub fn radiance(&self) -> &[DVec3] {
+        &self.radiance
+    }
+
+    /// For each ray of the last [`PathTracer::trace`], the most that any channel of its radiance lacks of what every tree of at most
+    /// `work_budget` rays in which nothing was cut would give ([`Stage::radiance_max`] times throughput, summed over all cuts).
+    pub fn lost(&self) -> &[f64] {
+        &self.lost
     }
 
     /// Traces the head of every live sample, shades what was hit and moves each sample to the next ray of its tree.
@@ -277,7 +296,10 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 *child = Some(make());
                 continue;
             }
-            self.counters.contribution_cuts += u64::from(carries);
+            if carries {
+                self.counters.contribution_cuts += 1;
+                self.lost[head.slot as usize] += throughput.max_element() * stage.radiance_max();
+            }
             let forced =
                 if kind == Kind::Transmission { stage.force_transmission } else { stage.force_reflection };
             if forced {
@@ -303,8 +325,9 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             }
             // One ray is left: the child that carries more has it.
             [Some(a), Some(b)] => {
-                self.counters.work_cuts += 1;
-                let heavier = if b.throughput.max_element() > a.throughput.max_element() { b } else { a };
+                let (heavier, lighter) =
+                    if b.throughput.max_element() > a.throughput.max_element() { (b, a) } else { (a, b) };
+                self.cut_work(slot, &lighter);
                 [Some((heavier, work)), None]
             }
             [Some(only), None] | [None, Some(only)] => [Some((only, work)), None],
@@ -323,10 +346,18 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 self.next_heads.push(Head { slot, work, throughput: child.throughput });
             }
             cut => {
-                self.counters.work_cuts += u64::from(cut.is_some());
+                if let Some((child, _)) = cut {
+                    self.cut_work(slot, &child);
+                }
                 self.advance_from_stack(slot);
             }
         }
+    }
+
+    /// Books a ray for which no work is left.
+    fn cut_work(&mut self, slot: u32, child: &Child) {
+        self.counters.work_cuts += 1;
+        self.lost[slot as usize] += child.throughput.max_element() * self.stage.radiance_max();
     }
 
     fn count_ray(&mut self, child: &Child) -> Ray {
@@ -376,6 +407,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 let largest = contribution.max_element();
                 if largest <= stage.settings.contribution_bound {
                     self.counters.contribution_cuts += u64::from(largest > 0.0);
+                    self.lost[point.slot as usize] += largest;
                     contribution = DVec3::ZERO;
                     if !stage.force_shadows {
                         continue;
@@ -403,7 +435,8 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     fn resolve_shadows(&mut self, start: Instant) -> Result<Instant, TraceError> {
         let shaded = Instant::now();
         self.seconds.shading += (shaded - start).as_secs_f64();
-        self.shadows.resolve(self.stage, &mut self.query, &mut self.radiance, &mut self.counters)?;
+        let lost = &mut self.lost;
+        self.shadows.resolve(self.stage, &mut self.query, &mut self.radiance, lost, &mut self.counters)?;
         let resolved = Instant::now();
         self.seconds.shadows += (resolved - shaded).as_secs_f64();
         Ok(resolved)
@@ -425,7 +458,8 @@ pub(crate) fn bytes_needed(stage: &Stage) -> usize {
         + size_of::<Point>()
         + sizes.stack_depth * size_of::<Option<Waiting>>()
         + size_of::<u8>()
-        + size_of::<DVec3>();
+        + size_of::<DVec3>()
+        + size_of::<f64>();
     sizes.batch * per_sample
         + ShadowBatch::bytes_needed(sizes.shadows, stage.transparent.is_some())
         + sizes.forced * (size_of::<Ray>() + size_of::<Option<Hit>>())

@@ -2,8 +2,10 @@
 
 use glam::DVec3;
 
+use super::sampling::pixel_offset;
 use super::settings::RenderSettings;
 use super::tiles::TileGrid;
+use crate::geom::Ray;
 use crate::model::MaterialRecord;
 use crate::scene::{Effect, EffectPlan, Emitter, Scene, Surface, View};
 use crate::trace::MaterialSet;
@@ -158,6 +160,19 @@ impl Stage {
     /// contribution bound.
     pub fn is_worth_following(&self, throughput: DVec3, work: u64) -> bool {
         throughput.max_element() * self.bound.of(work) > self.settings.contribution_bound
+    }
+
+    /// The ray of a sample of pixel (`x`, `y`): a pure function of scene and settings (I2).
+    pub fn camera_ray(&self, x: u32, y: u32, sample: u32) -> Ray {
+        let settings = &self.settings;
+        let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);
+        let offset = pixel_offset(settings.seed, pixel, sample, settings.samples_per_pixel, settings.filter);
+        self.view.ray(f64::from(x) + offset[0], f64::from(y) + offset[1])
+    }
+
+    /// The most that any ray can bring back in any channel, in trees of at most `work_budget` rays.
+    pub fn radiance_max(&self) -> f64 {
+        self.bound.of(self.settings.work_budget)
     }
 }
 
