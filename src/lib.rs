@@ -31,10 +31,12 @@
 //! 1. [`schedule`]: which worker renders which tile; no threads, no clock, no sockets
 //! 1. [`transport`]: frames between nodes
 //! 1. [`cluster`]: coordinator, workers, readers
+//! 1. [`accuracy`]: error goals, certificates, what accuracy costs
 #![deny(missing_docs)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
 pub mod access;
+pub mod accuracy;
 pub mod block;
 pub mod budget;
 pub mod cache;

@@ -199,6 +199,11 @@ impl LazyOctree {
         if self.layout.expanded { LeafLayout::Expanded } else { LeafLayout::Indexed }
     }
 
+    /// How sure hits are.
+    pub fn tier(&self) -> Tier {
+        self.tier
+    }
+
     /// The instructions in use.
     pub fn simd_level(&self) -> SimdLevel {
         self.level

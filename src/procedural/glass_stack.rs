@@ -1,6 +1,6 @@
 //! Transparent plates, one behind the other.
 
-use super::Shape;
+use super::{CUBOID_FACES, Shape};
 use crate::error::CompileError;
 use crate::import::{MeshSink, VertexBatch};
 use crate::model::MaterialRecord;
@@ -35,22 +35,6 @@ impl GlassStack {
     }
 }
 
-/// Corner `x + 2 y + 4 z`, seen counter-clockwise from outside.
-const BOX: [[u32; 3]; 12] = [
-    [0, 2, 3],
-    [0, 3, 1],
-    [4, 5, 7],
-    [4, 7, 6],
-    [0, 1, 5],
-    [0, 5, 4],
-    [2, 6, 7],
-    [2, 7, 3],
-    [0, 4, 6],
-    [0, 6, 2],
-    [1, 3, 7],
-    [1, 7, 5],
-];
-
 impl Shape for GlassStack {
     fn vertex_count(&self) -> u64 {
         8 * u64::from(self.plates) + 4
@@ -78,7 +62,7 @@ impl Shape for GlassStack {
             let (low, high) = ((1.0 + plate as f32) * self.spacing, (1.5 + plate as f32) * self.spacing);
             let corners: [[f32; 3]; 8] = std::array::from_fn(|corner| at(corner as u32, low, high));
             sink.vertices(VertexBatch::Float32(&corners))?;
-            sink.triangles(&BOX.map(|face| face.map(|corner| 8 * plate + corner)), MaterialId(0))?;
+            sink.triangles(&CUBOID_FACES.map(|face| face.map(|corner| 8 * plate + corner)), MaterialId(0))?;
         }
         let ground: [[f32; 3]; 4] = std::array::from_fn(|corner| at(corner as u32, 0.0, 0.0));
         sink.vertices(VertexBatch::Float32(&ground))?;

@@ -5,7 +5,9 @@
 //! (trigonometry comes from `libm`, random numbers from a generator of this room). [`export`] writes any of them
 //! to a model file.
 
+mod assembly;
 mod closed;
+mod cuboid;
 pub mod export;
 mod gears;
 mod glass_stack;
@@ -19,7 +21,9 @@ mod terrain;
 mod tessellation;
 mod torus_field;
 
+pub use assembly::Assembly;
 pub use closed::open_edges;
+pub use cuboid::CUBOID_FACES;
 pub use gears::Gears;
 pub use glass_stack::GlassStack;
 pub use icosphere::Icosphere;

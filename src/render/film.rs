@@ -8,12 +8,36 @@ use crate::budget::{MemoryBudget, Reservation};
 use crate::error::{BudgetError, RenderError};
 use crate::units::Bytes;
 
+/// What the samples of a pixel say about its error; see [`RenderSettings::keep_statistics`](super::RenderSettings::keep_statistics).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelStatistics {
+    /// Samples taken.
+    pub samples: u32,
+    /// Standard deviation of the mean, in the channel where it is greatest. An estimate on the safe side, from how blocks of samples differ
+    /// and, with adaptive sampling, from the contrast with the neighbours; infinite for a single sample.
+    pub deviation: f32,
+    /// Half of the difference between the means of the first and of the second half of the samples: in distribution like the error of the
+    /// pixel, a little too large for samples that are stratified. Zero for a single sample.
+    pub half_difference: [f32; 3],
+    /// The most that any channel may lack because rays and lamps were cut off. Proven, against ray trees of at most
+    /// [`work_budget`](super::RenderSettings::work_budget) rays in which nothing is cut.
+    pub lost: f32,
+}
+
+impl PixelStatistics {
+    /// Of a pixel without samples.
+    pub(crate) const NONE: PixelStatistics =
+        PixelStatistics { samples: 0, deviation: f32::INFINITY, half_difference: [0.0; 3], lost: 0.0 };
+}
+
 /// A picture of linear RGB radiance, rows from the top. Drawn from the memory budget until dropped.
 #[derive(Debug)]
 pub struct Film {
     width: u32,
     height: u32,
     pixels: Vec<[f32; 3]>,
+    /// As many, or none.
+    statistics: Vec<PixelStatistics>,
     tile_size: u32,
     finished: Vec<bool>,
     _reservation: Reservation,
@@ -25,13 +49,23 @@ impl Film {
     /// # Errors
     /// [`BudgetError`] if the budget cannot hold it.
     pub(crate) fn new(grid: &TileGrid, budget: &MemoryBudget) -> Result<Film, BudgetError> {
+        Film::reserved(grid, false, budget)
+    }
+
+    /// [`Film::new`] with statistics beside each pixel.
+    pub(crate) fn with_statistics(grid: &TileGrid, budget: &MemoryBudget) -> Result<Film, BudgetError> {
+        Film::reserved(grid, true, budget)
+    }
+
+    fn reserved(grid: &TileGrid, with_statistics: bool, budget: &MemoryBudget) -> Result<Film, BudgetError> {
         let pixel_count = grid.width as usize * grid.height as usize;
-        let bytes = Film::bytes_needed(grid);
+        let bytes = Film::bytes_needed(grid, with_statistics);
         let reservation = budget.reserve(bytes, "the film")?;
         Ok(Film {
             width: grid.width,
             height: grid.height,
             pixels: vec![[0.0; 3]; pixel_count],
+            statistics: vec![PixelStatistics::NONE; if with_statistics { pixel_count } else { 0 }],
             tile_size: grid.tile_size,
             finished: vec![false; grid.tile_count()],
             _reservation: reservation,
@@ -39,9 +73,10 @@ impl Film {
     }
 
     /// What [`Film::new`] takes from the budget.
-    pub(crate) fn bytes_needed(grid: &TileGrid) -> Bytes {
+    pub(crate) fn bytes_needed(grid: &TileGrid, with_statistics: bool) -> Bytes {
         let pixel_count = u64::from(grid.width) * u64::from(grid.height);
-        Bytes(pixel_count * size_of::<[f32; 3]>() as u64 + grid.tile_count() as u64)
+        let statistics = if with_statistics { size_of::<PixelStatistics>() } else { 0 };
+        Bytes(pixel_count * (size_of::<[f32; 3]>() + statistics) as u64 + grid.tile_count() as u64)
     }
 
     /// Width in pixels.
@@ -57,6 +92,11 @@ impl Film {
     /// All pixels, row by row from the top. Those of unfinished tiles are black.
     pub fn pixels(&self) -> &[[f32; 3]] {
         &self.pixels
+    }
+
+    /// What is known of each pixel's error, in the order of [`Film::pixels`]; none if it was not asked for.
+    pub fn statistics(&self) -> Option<&[PixelStatistics]> {
+        (!self.statistics.is_empty()).then_some(&self.statistics[..])
     }
 
     /// One row, counted from the top.
@@ -103,11 +143,22 @@ impl Film {
 
     /// Takes over the pixels of a finished tile, given row by row.
     pub(crate) fn set_tile(&mut self, grid: &TileGrid, cell: u32, pixels: &[[f32; 3]]) {
-        let area = grid.area(cell);
-        for (row, source) in pixels.chunks_exact(area.width as usize).enumerate() {
-            let start = (area.y as usize + row) * self.width as usize + area.x as usize;
-            self.pixels[start..][..source.len()].copy_from_slice(source);
-        }
+        copy_tile(grid, cell, pixels, &mut self.pixels);
         self.finished[cell as usize] = true;
+    }
+
+    /// Takes over the statistics of a tile, given row by row, if the film keeps any.
+    pub(crate) fn set_statistics(&mut self, grid: &TileGrid, cell: u32, statistics: &[PixelStatistics]) {
+        if !self.statistics.is_empty() {
+            copy_tile(grid, cell, statistics, &mut self.statistics);
+        }
+    }
+}
+
+fn copy_tile<T: Copy>(grid: &TileGrid, cell: u32, tile: &[T], all: &mut [T]) {
+    let area = grid.area(cell);
+    for (row, source) in tile.chunks_exact(area.width as usize).enumerate() {
+        let start = (area.y as usize + row) * grid.width as usize + area.x as usize;
+        all[start..][..source.len()].copy_from_slice(source);
     }
 }

@@ -130,7 +130,7 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         start: Instant,
     ) -> Result<Instant, TraceError> {
         let stage = self.stage;
-        contribution = self.worth_asking(scatter, contribution, luck);
+        contribution = self.worth_asking(point.slot, scatter, contribution, luck);
         if contribution == DVec3::ZERO && !(is_forced || stage.force_shadows) {
             return Ok(start);
         }
@@ -143,7 +143,13 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
     }
 
     /// What is to be made of light that arrives if nothing hides it: zero if it is cut, more if luck lets it go on.
-    pub(super) fn worth_asking(&mut self, scatter: &Scatter, contribution: DVec3, luck: Dimension) -> DVec3 {
+    pub(super) fn worth_asking(
+        &mut self,
+        slot: u32,
+        scatter: &Scatter,
+        contribution: DVec3,
+        luck: Dimension,
+    ) -> DVec3 {
         let bound = self.stage.settings.contribution_bound;
         let largest = contribution.max_element();
         if largest > bound || largest == 0.0 {
@@ -151,6 +157,7 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         }
         if !self.stage.roulette {
             self.counters.contribution_cuts += 1;
+            self.lost[slot as usize] += largest;
             return DVec3::ZERO;
         }
         self.counters.random_numbers += 1;

@@ -5,6 +5,7 @@
 //! not shared. An effect that the [`EffectPlan`](crate::scene::EffectPlan) leaves out makes no ray (I6). An error
 //! in a query ends the render; there is never a hole in a picture that was returned as complete.
 
+mod adaptive;
 mod bounce;
 mod bound;
 mod counters;
@@ -18,6 +19,7 @@ mod layers;
 mod media;
 mod optics;
 mod paths;
+pub(crate) mod probe;
 mod progress;
 mod query;
 mod random;
@@ -32,8 +34,10 @@ pub(crate) mod tiles;
 mod workers;
 
 pub use crate::compile::{Control, Threads};
+pub use adaptive::AdaptiveSampling;
+pub(crate) use adaptive::normal_quantile;
 pub use counters::EffectCounters;
-pub use film::Film;
+pub use film::{Film, PixelStatistics};
 pub use image::ImageFormat;
 pub use layers::{LayerPixel, Layers};
 pub use progress::Progress;
@@ -43,6 +47,8 @@ pub use renderer::{RenderedImage, Renderer};
 pub use report::{Outcome, RenderReport, WorkerSeconds};
 pub use sampling::Filter;
 pub use settings::{PathEnd, RenderSettings};
+pub(crate) use tiles::TileGrid;
+pub(crate) use workers::worker_count;
 
 #[cfg(test)]
 mod tests;

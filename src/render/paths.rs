@@ -90,6 +90,8 @@ enum Course {
 /// Traces batches of samples; one per thread.
 pub(crate) struct PathTracer<'s, Q> {
     pub(super) stage: &'s Stage,
+    /// Most rays of one call.
+    pub batch_samples: usize,
     pub query: Q,
     pub counters: EffectCounters,
     pub seconds: WorkerSeconds,
@@ -104,6 +106,8 @@ pub(crate) struct PathTracer<'s, Q> {
     waiting_counts: Vec<u8>,
     stack_depth: usize,
     pub(super) radiance: Vec<DVec3>,
+    /// Per slot: the most that any channel may lack because something was not followed.
+    pub(super) lost: Vec<f64>,
     pub(super) shadows: ShadowBatch,
     /// Rays of forced effects that cannot matter.
     forced: Vec<Ray>,
@@ -162,6 +166,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         let sizes = Sizes::of(stage);
         PathTracer {
             stage,
+            batch_samples: sizes.batch,
             query,
             counters: EffectCounters::default(),
             seconds: WorkerSeconds::default(),
@@ -175,6 +180,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             waiting_counts: vec![0; sizes.batch],
             stack_depth: sizes.stack_depth,
             radiance: Vec::with_capacity(sizes.batch),
+            lost: Vec::with_capacity(sizes.batch),
             shadows: ShadowBatch::new(sizes.shadows, stage.transparent.is_some()),
             forced: Vec::with_capacity(sizes.forced),
             walks: Vec::with_capacity(sizes.walks),
@@ -185,11 +191,11 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         }
     }
 
-    /// Radiance of each sample, in their order. At most `batch_samples` samples.
+    /// Computes the radiance of each sample, in their order. At most [`PathTracer::batch_samples`] samples.
     ///
     /// # Errors
     /// Those of the query; nothing that was computed is to be used then.
-    pub fn trace(&mut self, samples: impl Iterator<Item = CameraSample>) -> Result<&[DVec3], TraceError> {
+    pub fn trace(&mut self, samples: impl Iterator<Item = CameraSample>) -> Result<(), TraceError> {
         // Decided once per batch; inside, what a loop does not know is not there (I6).
         match self.stage.path_loop {
             Loop::Matt => self.trace_in::<Matt>(samples),
@@ -201,11 +207,12 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     fn trace_in<E: EffectsOfLoop>(
         &mut self,
         samples: impl Iterator<Item = CameraSample>,
-    ) -> Result<&[DVec3], TraceError> {
+    ) -> Result<(), TraceError> {
         self.heads.clear();
         self.rays.clear();
         self.walks.clear();
         self.radiance.clear();
+        self.lost.clear();
         let work = self.stage.settings.work_budget;
         for (slot, CameraSample { key, ray }) in samples.enumerate() {
             self.rays.push(ray);
@@ -219,6 +226,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         }
         let count = self.heads.len() as u64;
         self.radiance.resize(self.heads.len(), DVec3::ZERO);
+        self.lost.resize(self.heads.len(), 0.0);
         self.counters.samples += count;
         self.counters.primary_rays += count;
         if self.stage.view.has_lens() {
@@ -232,7 +240,18 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         while !self.heads.is_empty() {
             self.step::<E>()?;
         }
-        Ok(&self.radiance)
+        Ok(())
+    }
+
+    /// Radiance of each ray of the last [`PathTracer::trace`].
+    pub fn radiance(&self) -> &[DVec3] {
+        &self.radiance
+    }
+
+    /// For each ray of the last [`PathTracer::trace`], the most that any channel of its radiance lacks of what every tree of at most
+    /// `work_budget` rays in which nothing was cut would give ([`Stage::radiance_max`] times throughput, summed over all cuts).
+    pub fn lost(&self) -> &[f64] {
+        &self.lost
     }
 
     /// Traces the head of every live sample, shades what was hit and moves each sample to the next ray of its tree.
@@ -488,8 +507,9 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                     continue;
                 }
                 self.counters.roulette_ends += 1;
-            } else {
-                self.counters.contribution_cuts += u64::from(carries);
+            } else if carries {
+                self.counters.contribution_cuts += 1;
+                self.lost[head.slot as usize] += throughput.max_element() * stage.radiance_max();
             }
             let forced = match kind {
                 Kind::Transmission => stage.force_transmission,
@@ -571,11 +591,11 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             children.into_iter().flatten().map(|child| (child, work)).collect();
         // Too little work for all: those that carry most have it.
         while rays.len() > 1 && (rays.len() as u64) > work {
-            self.counters.work_cuts += 1;
             let carried = |ray: &(Child, u64)| ray.0.throughput.max_element();
             let least = (1..rays.len())
                 .fold(0, |least, ray| if carried(&rays[ray]) <= carried(&rays[least]) { ray } else { least });
-            rays.remove(least);
+            let (cut, _) = rays.remove(least);
+            self.cut_work(slot, &cut);
         }
         if rays.len() > 1 {
             let weights: smallvec::SmallVec<[f64; 3]> =
@@ -614,10 +634,19 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 }
             }
             cut => {
-                self.counters.work_cuts += u64::from(cut.is_some());
+                if let Some((child, _)) = cut {
+                    let child = *child;
+                    self.cut_work(slot, &child);
+                }
                 self.advance_from_stack::<E>(slot);
             }
         }
+    }
+
+    /// Books a ray for which no work is left.
+    fn cut_work(&mut self, slot: u32, child: &Child) {
+        self.counters.work_cuts += 1;
+        self.lost[slot as usize] += child.throughput.max_element() * self.stage.radiance_max();
     }
 
     fn count_ray<E: EffectsOfLoop>(&mut self, index: usize, child: &Child) -> Ray {
@@ -696,8 +725,12 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                     }
                     let response = self.response(&point, &scatter, incidence.toward, None, Lobes::All);
                     let arriving = point.throughput * response * incidence.irradiance;
-                    contribution =
-                        self.worth_asking(&scatter, arriving, Dimension::PointLightRoulette(light));
+                    contribution = self.worth_asking(
+                        point.slot,
+                        &scatter,
+                        arriving,
+                        Dimension::PointLightRoulette(light),
+                    );
                 } else {
                     let shader = stage.shader(point.material);
                     let cosine = incidence.toward.dot(point.normal);
@@ -711,6 +744,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                     let largest = contribution.max_element();
                     if largest <= stage.settings.contribution_bound {
                         self.counters.contribution_cuts += u64::from(largest > 0.0);
+                        self.lost[point.slot as usize] += largest;
                         contribution = DVec3::ZERO;
                     }
                 }
@@ -739,7 +773,8 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     pub(super) fn resolve_shadows(&mut self, start: Instant) -> Result<Instant, TraceError> {
         let shaded = Instant::now();
         self.seconds.shading += (shaded - start).as_secs_f64();
-        self.shadows.resolve(self.stage, &mut self.query, &mut self.radiance, &mut self.counters)?;
+        let lost = &mut self.lost;
+        self.shadows.resolve(self.stage, &mut self.query, &mut self.radiance, lost, &mut self.counters)?;
         let resolved = Instant::now();
         self.seconds.shadows += (resolved - shaded).as_secs_f64();
         Ok(resolved)
@@ -775,7 +810,8 @@ pub(crate) fn bytes_needed(stage: &Stage) -> usize {
         + size_of::<Point>()
         + sizes.stack_depth * size_of::<Option<Waiting>>()
         + size_of::<u8>()
-        + size_of::<DVec3>();
+        + size_of::<DVec3>()
+        + size_of::<f64>();
     sizes.batch * per_sample
         + sizes.walks
             * (2 * size_of::<Walk>()

@@ -119,7 +119,7 @@ impl RegionRenderer<'_> {
                 reason: format!("{region:?} is empty, has a side of more than a tile, or leaves the picture"),
             });
         }
-        match self.worker.render_area(Area { x, y, width, height }) {
+        match self.worker.render_area_to(Area { x, y, width, height }, None) {
             Ok(true) => Ok(Some(self.worker.finished())),
             Ok(false) => Ok(None),
             Err(error) => Err(error.into()),

@@ -4,11 +4,12 @@ use std::time::Instant;
 
 use super::film::Film;
 use super::layers::{Layers, layers};
+use super::probe::Probe;
 use super::query::RayQuery;
 use super::report::{Outcome, RenderReport};
 use super::settings::RenderSettings;
 use super::stage::Stage;
-use super::workers::{self, ProgressFn, Totals};
+use super::workers::{self, ProgressFn, Thresholds, Totals};
 use super::{Progress, paths};
 use crate::budget::MemoryBudget;
 use crate::cache::CacheStats;
@@ -17,6 +18,7 @@ use crate::error::{RenderError, TraceError};
 use crate::model::Model;
 use crate::octree::LazyOctree;
 use crate::scene::{EffectPlan, Scene};
+use crate::trace::Tracer;
 use crate::units::Bytes;
 
 /// A picture and what making it took.
@@ -106,8 +108,20 @@ impl<'a> Renderer<'a> {
         threads: &Threads,
         progress: &mut (dyn FnMut(Progress) -> Control + Send),
     ) -> Result<RenderedImage, RenderError> {
+        self.render_steered(threads, &|_| None, progress)
+    }
+
+    /// [`Renderer::render`] with an error threshold for each tile; where it is `None`, that of the settings holds. The function is
+    /// asked once for each tile, when a thread takes it.
+    pub(crate) fn render_steered(
+        &self,
+        threads: &Threads,
+        thresholds: &Thresholds<'_>,
+        progress: &mut (dyn FnMut(Progress) -> Control + Send),
+    ) -> Result<RenderedImage, RenderError> {
         let cache_before = self.octree.cache().stats();
-        let picture = picture(&self.stage, threads, &self.budget, &|| self.octree.tracer(), progress)?;
+        let picture =
+            picture(&self.stage, threads, &self.budget, &|| self.octree.tracer(), thresholds, progress)?;
         let Picture { film, totals, wall_seconds, memory } = picture;
         let settings = &self.stage.settings;
         let report = RenderReport {
@@ -134,6 +148,33 @@ impl<'a> Renderer<'a> {
             budget_peak: self.budget.peak(),
         };
         Ok(RenderedImage { film, report })
+    }
+}
+
+impl Renderer<'_> {
+    /// Looks at about `pixel_count` pixels all over the picture; `None` if `stop` said so. Takes a tracer while it lives.
+    pub(crate) fn probe(
+        &self,
+        pixel_count: u32,
+        samples_min: u32,
+        stop: &mut dyn FnMut() -> Control,
+    ) -> Result<Option<Probe<'_, Tracer<'_>>>, RenderError> {
+        let query = self.octree.tracer()?;
+        Probe::new(&self.stage, query, pixel_count, samples_min, &self.budget, stop)
+    }
+
+    /// What [`Renderer::probe`] takes from the budget.
+    ///
+    /// # Errors
+    /// As for [`Renderer::new`].
+    pub(crate) fn probe_bytes(
+        scene: &Scene,
+        model: &Model,
+        settings: &RenderSettings,
+        pixel_count: u32,
+    ) -> Result<Bytes, RenderError> {
+        let (stage, _) = set(scene, model, settings)?;
+        Ok(Probe::<Tracer<'_>>::bytes_needed(&stage, pixel_count))
     }
 }
 
@@ -164,14 +205,19 @@ pub(super) fn picture<Q: RayQuery>(
     threads: &Threads,
     budget: &MemoryBudget,
     make_query: &(dyn Fn() -> Result<Q, TraceError> + Sync),
+    thresholds: &Thresholds<'_>,
     progress: &mut ProgressFn<'_>,
 ) -> Result<Picture, RenderError> {
     let start = Instant::now();
     let needed = memory(stage, threads);
     let _scratch = budget.reserve(needed.scratch, "the renderer's ray trees and tiles")?;
-    let mut film = Film::new(&stage.grid, budget)?;
+    let mut film = if stage.settings.keep_statistics {
+        Film::with_statistics(&stage.grid, budget)?
+    } else {
+        Film::new(&stage.grid, budget)?
+    };
     let order = stage.grid.hilbert_order();
-    let totals = workers::run(stage, &order, &mut film, threads, make_query, progress)?;
+    let totals = workers::run(stage, &order, &mut film, threads, make_query, thresholds, progress)?;
     Ok(Picture { film, totals, wall_seconds: start.elapsed().as_secs_f64(), memory: needed.total() })
 }
 
@@ -192,7 +238,7 @@ fn memory(stage: &Stage, threads: &Threads) -> Memory {
     let scratch = per_thread as u64 * workers::worker_count(threads) as u64
         + stage.bytes() as u64
         + stage.grid.order_bytes().0;
-    Memory { film: Film::bytes_needed(&stage.grid), scratch: Bytes(scratch) }
+    Memory { film: Film::bytes_needed(&stage.grid, stage.settings.keep_statistics), scratch: Bytes(scratch) }
 }
 
 /// What happened between two looks at the same cache.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::adaptive::AdaptiveSampling;
 use super::sampling::Filter;
 use super::tiles::TileGrid;
 use crate::error::RenderError;
@@ -27,8 +28,12 @@ pub struct RenderSettings {
     pub width: u32,
     /// Pixels down.
     pub height: u32,
-    /// Samples per pixel; a single one lies in the pixel's middle.
+    /// Samples per pixel; a single one lies in the pixel's middle. With `adaptive`, the most that a pixel gets.
     pub samples_per_pixel: u32,
+    /// Where set, a pixel gets samples until its error is small enough.
+    pub adaptive: Option<AdaptiveSampling>,
+    /// Whether the film keeps [`PixelStatistics`](super::PixelStatistics) beside each pixel. Does not show.
+    pub keep_statistics: bool,
     /// How samples are spread around their pixel.
     pub filter: Filter,
     /// Key of the sample positions and of all other random numbers.
@@ -60,6 +65,8 @@ impl RenderSettings {
             width,
             height,
             samples_per_pixel: 1,
+            adaptive: None,
+            keep_statistics: false,
             filter: Filter::default(),
             seed: 0,
             contribution_bound: 1e-3,
@@ -89,6 +96,29 @@ impl RenderSettings {
             "each side must be between 1 and 1,048,576 pixels and the image below 2^32 pixels",
         )?;
         check(self.samples_per_pixel >= 1, "samples per pixel", "there must be at least one")?;
+        if let Some(adaptive) = self.adaptive {
+            let (least, most) = (adaptive.samples_min, self.samples_per_pixel);
+            check(
+                least.is_power_of_two() && least >= AdaptiveSampling::SAMPLES_MIN,
+                "adaptive sampling",
+                "the first samples of a pixel must be a power of two, at least 4",
+            )?;
+            check(
+                most.is_power_of_two() && most >= least,
+                "adaptive sampling",
+                "samples per pixel, the most that a pixel gets, must be a power of two and not below the first samples",
+            )?;
+            check(
+                adaptive.error >= 0.0 && adaptive.error.is_finite(),
+                "adaptive sampling",
+                "the error must be finite and not negative",
+            )?;
+            check(
+                adaptive.confidence > 0.5 && adaptive.confidence < 1.0,
+                "adaptive sampling",
+                "the confidence must lie above 0.5 and below 1",
+            )?;
+        }
         check(
             self.contribution_bound >= 0.0 && self.contribution_bound.is_finite(),
             "contribution bound",

@@ -95,12 +95,14 @@ impl ShadowBatch {
         self.claims.push(Claim { slot, contribution });
     }
 
-    /// Answers all claims, adds what reaches `radiance`, and is empty again.
+    /// Answers all claims, adds what reaches `radiance`, and is empty again. Light too weak to be followed through more
+    /// surfaces is added to `lost`.
     pub fn resolve(
         &mut self,
         stage: &Stage,
         query: &mut impl RayQuery,
         radiance: &mut [DVec3],
+        lost: &mut [f64],
         counters: &mut EffectCounters,
     ) -> Result<(), TraceError> {
         let count = self.claims.len();
@@ -121,7 +123,7 @@ impl ShadowBatch {
                     }
                 }
             }
-            self.walk(stage, query, counters)?;
+            self.walk(stage, query, lost, counters)?;
         }
         for claim in &self.claims {
             radiance[claim.slot as usize] += claim.contribution;
@@ -137,6 +139,7 @@ impl ShadowBatch {
         &mut self,
         stage: &Stage,
         query: &mut impl RayQuery,
+        lost: &mut [f64],
         counters: &mut EffectCounters,
     ) -> Result<(), TraceError> {
         let mut is_first = true;
@@ -162,7 +165,7 @@ impl ShadowBatch {
             self.walkers.retain_mut(|walker| {
                 let (ray, hit) = (&walk_rays[index], hits[index]);
                 index += 1;
-                let contribution = &mut claims[walker.claim as usize].contribution;
+                let Claim { slot, contribution } = &mut claims[walker.claim as usize];
                 let Some(hit) = hit else {
                     *contribution *= walker.transmittance;
                     return false;
@@ -173,6 +176,7 @@ impl ShadowBatch {
                 let goes_on = left > if stage.roulette { 0.0 } else { stage.settings.contribution_bound };
                 if !goes_on {
                     counters.contribution_cuts += u64::from(left > 0.0);
+                    lost[*slot as usize] += left;
                     *contribution = DVec3::ZERO;
                 }
                 goes_on

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::bound::RadianceBound;
 use super::random::{Dimension, SampleKey, VertexId};
+use super::sampling::pixel_offset;
 use super::settings::{PathEnd, RenderSettings};
 use super::tiles::TileGrid;
 use crate::geom::Ray;
@@ -307,6 +308,19 @@ impl Stage {
     /// contribution bound.
     pub fn is_worth_following(&self, throughput: DVec3, work: u64) -> bool {
         self.contribution_max(throughput, work) > self.settings.contribution_bound
+    }
+
+    /// A sample of pixel (`x`, `y`): a pure function of scene and settings (I2).
+    pub fn pixel_sample(&self, x: u32, y: u32, sample: u32) -> CameraSample {
+        let settings = &self.settings;
+        let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);
+        let offset = pixel_offset(settings.seed, pixel, sample, settings.samples_per_pixel, settings.filter);
+        self.camera_sample(pixel, sample, f64::from(x) + offset[0], f64::from(y) + offset[1])
+    }
+
+    /// The most that any ray can bring back in any channel, in trees of at most `work_budget` rays.
+    pub fn radiance_max(&self) -> f64 {
+        self.bound.of(self.settings.work_budget)
     }
 
     /// The most that a path can add that carries `throughput` into a tree of at most `work` rays.

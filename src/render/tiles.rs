@@ -38,6 +38,14 @@ impl TileGrid {
         Area { x, y, width: self.tile_size.min(self.width - x), height: self.tile_size.min(self.height - y) }
     }
 
+    /// `area` and one pixel around it, as far as the image goes.
+    pub fn surroundings(&self, area: &Area) -> Area {
+        let (x, y) = (area.x.saturating_sub(1), area.y.saturating_sub(1));
+        let right = self.width.min(area.x + area.width + 1);
+        let bottom = self.height.min(area.y + area.height + 1);
+        Area { x, y, width: right - x, height: bottom - y }
+    }
+
     /// Every cell once, along a Hilbert curve over the enclosing square.
     pub fn hilbert_order(&self) -> Vec<u32> {
         let (columns, rows) = (self.columns(), self.height.div_ceil(self.tile_size));

@@ -5,17 +5,18 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use glam::DVec3;
 use parking_lot::Mutex;
 
+use super::adaptive::SampleBlocks;
 use super::counters::EffectCounters;
-use super::film::Film;
+use super::film::{Film, PixelStatistics};
 use super::paths::PathTracer;
 use super::progress::Progress;
 use super::query::RayQuery;
 use super::report::WorkerSeconds;
-use super::sampling::pixel_offset;
 use super::stage::Stage;
 use super::tiles::{Area, morton_order};
 use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
+use crate::geom::round_up_f32;
 use crate::stats::TraceCounters;
 use crate::units::TileId;
 
@@ -32,11 +33,15 @@ pub(crate) struct Totals {
 /// The caller's callback.
 pub(crate) type ProgressFn<'f> = dyn FnMut(Progress) -> Control + Send + 'f;
 
+/// The error threshold of a tile, if it is not that of the settings. Asked once for each tile, when it is taken.
+pub(crate) type Thresholds<'f> = dyn Fn(TileId) -> Option<f64> + Sync + 'f;
+
 /// What the workers share.
 struct Shared<'a> {
     stage: &'a Stage,
     /// Cells of the grid by [`TileId`].
     order: &'a [u32],
+    thresholds: &'a Thresholds<'a>,
     next: AtomicU32,
     stop: AtomicBool,
     cancelled: AtomicBool,
@@ -59,6 +64,7 @@ pub(crate) fn run<Q: RayQuery>(
     film: &mut Film,
     threads: &Threads,
     make_query: &(dyn Fn() -> Result<Q, TraceError> + Sync),
+    thresholds: &Thresholds<'_>,
     progress: &mut ProgressFn<'_>,
 ) -> Result<Totals, RenderError> {
     // A closure of its own ends the callback's lifetime with the shared state's.
@@ -66,6 +72,7 @@ pub(crate) fn run<Q: RayQuery>(
     let shared = Shared {
         stage,
         order,
+        thresholds,
         next: AtomicU32::new(0),
         stop: AtomicBool::new(false),
         cancelled: AtomicBool::new(false),
@@ -110,9 +117,12 @@ impl Shared<'_> {
             let result = loop {
                 tile = TileId(self.next.fetch_add(1, Ordering::Relaxed));
                 let Some(cell) = self.order.get(tile.0 as usize) else { break Ok(()) };
-                match worker.render_area(self.stage.grid.area(*cell)) {
+                match worker.render_area_to(self.stage.grid.area(*cell), (self.thresholds)(tile)) {
                     Ok(true) => {
-                        self.film.lock().set_tile(&self.stage.grid, *cell, worker.finished());
+                        let mut film = self.film.lock();
+                        film.set_tile(&self.stage.grid, *cell, worker.finished());
+                        film.set_statistics(&self.stage.grid, *cell, worker.statistics());
+                        drop(film);
                         self.tiles.fetch_add(1, Ordering::Relaxed);
                         self.report();
                     }
@@ -151,10 +161,27 @@ impl Shared<'_> {
     }
 }
 
-/// Samples of the whole picture.
+/// Samples of the whole picture; the most there can be where sampling is adaptive.
 fn samples_total(stage: &Stage) -> u64 {
     let settings = &stage.settings;
     u64::from(settings.width) * u64::from(settings.height) * u64::from(settings.samples_per_pixel)
+}
+
+/// The pixels of a tile while samples are added.
+#[derive(Default)]
+struct Tile {
+    /// In the order in which they are traced, as offsets from the corner of the tile's surroundings.
+    pixels: Vec<[u16; 2]>,
+    /// Sum of samples per pixel, in that order.
+    sums: Vec<DVec3>,
+    /// The same in blocks, in that order; only if errors are asked for.
+    blocks: Vec<SampleBlocks>,
+    /// Contrast with the neighbours, in that order; only with adaptive sampling.
+    contrasts: Vec<DVec3>,
+    /// Index of each pixel, row by row; only with adaptive sampling.
+    places: Vec<u32>,
+    /// Pixels that get the next samples.
+    active: Vec<u32>,
 }
 
 /// What a worker tells while it is inside a tile, and asks.
@@ -188,12 +215,29 @@ pub(crate) struct Worker<'s, W, Q> {
     pub watch: W,
     stage: &'s Stage,
     paths: PathTracer<'s, Q>,
-    /// The tile's pixels in the order in which they are traced.
-    pixels: Vec<[u16; 2]>,
-    /// Sum of samples per pixel, in that order.
-    sums: Vec<DVec3>,
+    tile: Tile,
     /// The tile's pixels row by row.
     finished: Vec<[f32; 3]>,
+    /// Beside them; only if they are kept.
+    statistics: Vec<PixelStatistics>,
+}
+
+/// What must be known to trace samples of a tile.
+#[derive(Clone, Copy)]
+struct Place {
+    /// The tile itself.
+    area: Area,
+    /// The tile and what is traced around it.
+    ground: Area,
+}
+
+impl Place {
+    /// Whether a pixel of the ground belongs to the tile.
+    fn is_own(&self, [x, y]: [u16; 2]) -> bool {
+        let (x, y) = (self.ground.x + u32::from(x), self.ground.y + u32::from(y));
+        (self.area.x..self.area.x + self.area.width).contains(&x)
+            && (self.area.y..self.area.y + self.area.height).contains(&y)
+    }
 }
 
 impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
@@ -202,15 +246,20 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
             watch,
             stage,
             paths: PathTracer::new(stage, query),
-            pixels: Vec::new(),
-            sums: Vec::new(),
+            tile: Tile::default(),
             finished: Vec::new(),
+            statistics: Vec::new(),
         }
     }
 
     /// The pixels of the area that was rendered last, row by row.
     pub fn finished(&self) -> &[[f32; 3]] {
         &self.finished
+    }
+
+    /// What is known of their errors; empty if it was not asked for.
+    pub fn statistics(&self) -> &[PixelStatistics] {
+        &self.statistics
     }
 
     /// Rays by effect so far.
@@ -223,51 +272,166 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
         self.paths.query.counters()
     }
 
-    /// Renders an area of at most a tile's size; false if the render was stopped before its end.
-    pub fn render_area(&mut self, area: Area) -> Result<bool, TraceError> {
+    /// Renders an area of at most a tile's size, with an error threshold other than that of the settings if there is one; false if the
+    /// render was stopped before its end.
+    pub fn render_area_to(&mut self, area: Area, threshold: Option<f64>) -> Result<bool, TraceError> {
         let stage = self.stage;
         let settings = &stage.settings;
-        morton_order(area.width, area.height, &mut self.pixels);
-        self.sums.clear();
-        self.sums.resize(self.pixels.len(), DVec3::ZERO);
-        let per_pixel = u64::from(settings.samples_per_pixel);
-        let total = self.pixels.len() as u64 * per_pixel;
+        let ground = if settings.adaptive.is_some() { stage.grid.surroundings(&area) } else { area };
+        let place = Place { area, ground };
+        let tile = &mut self.tile;
+        morton_order(ground.width, ground.height, &mut tile.pixels);
+        let count = tile.pixels.len();
+        tile.sums.clear();
+        tile.sums.resize(count, DVec3::ZERO);
+        tile.blocks.clear();
+        tile.blocks.resize(if keeps_blocks(stage) { count } else { 0 }, SampleBlocks::EMPTY);
+        tile.contrasts.clear();
+        tile.active.clear();
+        tile.active.extend(0..count as u32);
+        let most = settings.samples_per_pixel;
+        let mut samples = settings.adaptive.map_or(most, |adaptive| adaptive.samples_min);
+        if !self.trace_samples(&place, 0, samples)? {
+            return Ok(false);
+        }
+        if let Some(adaptive) = settings.adaptive {
+            self.tile.look_around(&place);
+            let deviation = threshold.unwrap_or(adaptive.error) / adaptive.quantile();
+            loop {
+                let Tile { active, blocks, contrasts, .. } = &mut self.tile;
+                active
+                    .retain(|&index| blocks[index as usize].deviation(contrasts[index as usize]) > deviation);
+                if active.is_empty() || samples >= most {
+                    break;
+                }
+                if !self.trace_samples(&place, samples, samples)? {
+                    return Ok(false);
+                }
+                samples *= 2;
+            }
+        }
+        self.finish(&place);
+        Ok(true)
+    }
+
+    /// Traces samples `first .. first + count` of the active pixels; false if the render was stopped before the end.
+    fn trace_samples(&mut self, place: &Place, first: u32, count: u32) -> Result<bool, TraceError> {
+        let stage = self.stage;
+        let Tile { pixels, sums, blocks, active, .. } = &mut self.tile;
+        let per_pixel = u64::from(count);
+        let total = active.len() as u64 * per_pixel;
         let mut start = 0;
         while start < total {
             if self.watch.is_stopped() {
                 return Ok(false);
             }
-            let end = total.min(start + u64::from(settings.batch_samples));
-            let pixels = &self.pixels;
+            let end = total.min(start + self.paths.batch_samples as u64);
             let rays = (start..end).map(|index| {
-                let [x, y] = pixels[(index / per_pixel) as usize].map(u32::from);
-                let (x, y) = (area.x + x, area.y + y);
-                let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);
+                let [x, y] = pixels[active[(index / per_pixel) as usize] as usize].map(u32::from);
                 // Below `samples_per_pixel`, a u32.
-                let sample = (index % per_pixel) as u32;
-                let offset =
-                    pixel_offset(settings.seed, pixel, sample, settings.samples_per_pixel, settings.filter);
-                stage.camera_sample(pixel, sample, f64::from(x) + offset[0], f64::from(y) + offset[1])
+                let sample = first + (index % per_pixel) as u32;
+                stage.pixel_sample(place.ground.x + x, place.ground.y + y, sample)
             });
-            let radiance = self.paths.trace(rays)?;
-            for (index, radiance) in (start..end).zip(radiance) {
-                self.sums[(index / per_pixel) as usize] += *radiance;
+            self.paths.trace(rays)?;
+            let mut own = 0;
+            for (index, (radiance, lost)) in
+                (start..end).zip(self.paths.radiance().iter().zip(self.paths.lost()))
+            {
+                let pixel = active[(index / per_pixel) as usize] as usize;
+                sums[pixel] += *radiance;
+                if let Some(blocks) = blocks.get_mut(pixel) {
+                    blocks.add(*radiance, *lost);
+                }
+                own += u64::from(place.is_own(pixels[pixel]));
             }
-            self.watch.add_samples(end - start);
+            self.watch.add_samples(own);
             start = end;
             if start < total {
                 self.watch.report();
             }
         }
-        self.finished.clear();
-        self.finished.resize(self.pixels.len(), [0.0; 3]);
-        for ([x, y], sum) in self.pixels.iter().zip(&self.sums) {
-            let mean = *sum / per_pixel as f64;
-            self.finished[usize::from(*y) * area.width as usize + usize::from(*x)] =
-                mean.to_array().map(|channel| channel as f32);
-        }
         Ok(true)
     }
+
+    /// Brings the tile's pixels into the order of the film.
+    fn finish(&mut self, place: &Place) {
+        let Tile { pixels, sums, blocks, contrasts, .. } = &self.tile;
+        let settings = &self.stage.settings;
+        let area = &place.area;
+        let count = area.width as usize * area.height as usize;
+        self.finished.clear();
+        self.finished.resize(count, [0.0; 3]);
+        self.statistics.clear();
+        self.statistics.resize(if settings.keep_statistics { count } else { 0 }, PixelStatistics::NONE);
+        let mut saved = 0;
+        for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {
+            let [x, y] = pixel.map(u32::from);
+            let (x, y) = (place.ground.x + x - area.x, place.ground.y + y - area.y);
+            let to = y as usize * area.width as usize + x as usize;
+            let samples = blocks.get(index).map_or(settings.samples_per_pixel, SampleBlocks::samples);
+            saved += u64::from(settings.samples_per_pixel - samples);
+            self.finished[to] = to_f32(sums[index] / f64::from(samples));
+            if let Some(statistics) = self.statistics.get_mut(to) {
+                let contrast = contrasts.get(index).copied().unwrap_or(DVec3::ZERO);
+                *statistics = PixelStatistics {
+                    samples,
+                    deviation: blocks[index].deviation(contrast) as f32,
+                    half_difference: to_f32(blocks[index].half_difference()),
+                    lost: round_up_f32(blocks[index].lost()),
+                };
+            }
+        }
+        // Samples that need not be taken are as good as done.
+        self.watch.add_samples(saved);
+    }
+}
+
+impl Tile {
+    /// After the first samples: measures contrasts, and leaves only the tile's own pixels active.
+    fn look_around(&mut self, place: &Place) {
+        let (width, height) = (place.ground.width as usize, place.ground.height as usize);
+        self.places.clear();
+        self.places.resize(width * height, 0);
+        for (index, [x, y]) in self.pixels.iter().enumerate() {
+            self.places[usize::from(*y) * width + usize::from(*x)] = index as u32;
+        }
+        let (blocks, places) = (&self.blocks, &self.places);
+        let mean = |x: usize, y: usize| blocks[places[y * width + x] as usize].mean();
+        self.contrasts.extend(self.pixels.iter().map(|pixel| {
+            if !place.is_own(*pixel) {
+                return DVec3::ZERO;
+            }
+            let [x, y] = pixel.map(usize::from);
+            contrast([width, height], [x, y], mean)
+        }));
+        let pixels = &self.pixels;
+        self.active.retain(|&index| place.is_own(pixels[index as usize]));
+    }
+}
+
+/// How far the means of a pixel and its neighbours lie apart, per channel.
+pub(super) fn contrast(
+    [width, height]: [usize; 2],
+    [x, y]: [usize; 2],
+    mean: impl Fn(usize, usize) -> DVec3,
+) -> DVec3 {
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for y in y.saturating_sub(1)..height.min(y + 2) {
+        for x in x.saturating_sub(1)..width.min(x + 2) {
+            let mean = mean(x, y);
+            (low, high) = (low.min(mean), high.max(mean));
+        }
+    }
+    high - low
+}
+
+/// Whether samples are kept in blocks.
+fn keeps_blocks(stage: &Stage) -> bool {
+    stage.settings.adaptive.is_some() || stage.settings.keep_statistics
+}
+
+fn to_f32(colour: DVec3) -> [f32; 3] {
+    colour.to_array().map(|channel| channel as f32)
 }
 
 /// How many workers `threads` stands for.
@@ -282,9 +446,17 @@ pub(crate) fn worker_count(threads: &Threads) -> usize {
 /// What each worker's tile takes, in bytes.
 pub(crate) fn tile_bytes(stage: &Stage) -> usize {
     let settings = &stage.settings;
-    let pixels =
-        settings.tile_size.min(settings.width) as usize * settings.tile_size.min(settings.height) as usize;
-    pixels * (size_of::<[u16; 2]>() + size_of::<DVec3>() + size_of::<[f32; 3]>())
+    let is_adaptive = settings.adaptive.is_some();
+    let border = if is_adaptive { 2 } else { 0 };
+    let pixels = |border: u32| {
+        let side = settings.tile_size + border;
+        side.min(settings.width) as usize * side.min(settings.height) as usize
+    };
+    let blocks = if keeps_blocks(stage) { size_of::<SampleBlocks>() } else { 0 };
+    let adaptive = if is_adaptive { size_of::<DVec3>() + size_of::<u32>() } else { 0 };
+    let statistics = if settings.keep_statistics { size_of::<PixelStatistics>() } else { 0 };
+    pixels(border) * (size_of::<[u16; 2]>() + size_of::<DVec3>() + size_of::<u32>() + blocks + adaptive)
+        + pixels(0) * (size_of::<[f32; 3]>() + statistics)
 }
 
 struct StopOnPanic<'s>(&'s AtomicBool);

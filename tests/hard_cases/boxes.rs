@@ -36,7 +36,7 @@ fn packed_boxes_contain_their_cells() {
     let mut random = Random(31);
     for round in 0..20_000 {
         let scale = 2f64.powi((round % 80) - 40);
-        let far = [0.0, 1.0, 1e3, 1e7][random.below(4)];
+        let far = [0.0, 1.0, 1e3, 1e7][random.index(4)];
         let at = |random: &mut Random| (scale * (far + random.signed())) as f32;
         let corners = [(); 3].map(|()| [at(&mut random), at(&mut random)]);
         let low = corners.map(|[a, b]| a.min(b));
@@ -44,7 +44,7 @@ fn packed_boxes_contain_their_cells() {
         let mut cells = [[0u8; 6]; LANES];
         for cell in &mut cells {
             for axis in 0..3 {
-                let (a, b) = (random.below(256) as u8, random.below(256) as u8);
+                let (a, b) = (random.index(256) as u8, random.index(256) as u8);
                 (cell[axis], cell[axis + 3]) = (a.min(b), a.max(b));
             }
         }

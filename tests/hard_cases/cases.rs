@@ -7,6 +7,7 @@ use outcrop::geom::{Lattice, Precision, Ray, triangle_normal};
 use outcrop::import::MeshBuffer;
 use outcrop::procedural::{Icosphere, Shape};
 
+pub use crate::numbers::{Random, along, minus, unit};
 use crate::truth::Triangle;
 
 /// A model, and rays that ask for its weak spots.
@@ -16,50 +17,6 @@ pub struct Case {
     pub precision: Precision,
     pub triangles: Vec<Triangle>,
     pub rays: Vec<Ray>,
-}
-
-/// SplitMix64.
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
-    }
-
-    pub fn below(&mut self, count: usize) -> usize {
-        (self.bits() % count as u64) as usize
-    }
-
-    /// In -1 .. 1.
-    pub fn signed(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-
-    pub fn vector(&mut self, size: f64) -> [f64; 3] {
-        [(); 3].map(|()| size * self.signed())
-    }
-
-    pub fn pick<T: Copy>(&mut self, from: &[T]) -> T {
-        from[self.below(from.len())]
-    }
-}
-
-pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-/// `a + s b`
-pub fn along(a: [f64; 3], s: f64, b: [f64; 3]) -> [f64; 3] {
-    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
-}
-
-pub fn unit(a: [f64; 3]) -> [f64; 3] {
-    let length = (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]).sqrt();
-    a.map(|x| x / length)
 }
 
 /// To the nearest multiple of `step`, a power of two.
@@ -318,7 +275,7 @@ pub fn in_the_plane() -> Case {
         let origin = along(along(a, -3.0, direction), random.pick(&[0.0, 1.0]), minus(c, a));
         case.rays.push(Ray::new(origin, direction));
         let mut off = origin;
-        off[random.below(3)] += 2f64.powi(-12);
+        off[random.index(3)] += 2f64.powi(-12);
         case.rays.push(Ray::new(off, direction));
         case.triangles.push(triangle);
     }
@@ -413,7 +370,7 @@ pub fn denormal_directions() -> Case {
             0 => Ray::new(ray.origin, ray.direction.map(|x| x * 2f64.powi(-136))),
             1 => {
                 let mut direction = [2f64.powi(-149), -2f64.powi(-140), 2f64.powi(-149)];
-                direction[random.below(3)] = 1.0;
+                direction[random.index(3)] = 1.0;
                 Ray::new(ray.origin, direction)
             }
             _ => Ray::new(ray.origin, ray.direction.map(|x| x * 2f64.powi(50))),

@@ -155,7 +155,7 @@ fn check_shuffled(case: &Case, expected: &[Option<(f64, u64)>]) {
     let mut random = Random(99);
     let mut order: Vec<usize> = (0..case.triangles.len()).collect();
     for i in (1..order.len()).rev() {
-        order.swap(i, random.below(i + 1));
+        order.swap(i, random.index(i + 1));
     }
     let triangles: Vec<Triangle> = order.iter().map(|i| case.triangles[*i]).collect();
     let shuffled = Case { name: case.name, precision: case.precision, triangles, rays: Vec::new() };

@@ -8,7 +8,7 @@ use outcrop::compile::{CompileOptions, Threads};
 use outcrop::geom::{Ray, offset_origin};
 use outcrop::model::MaterialRecord;
 use outcrop::octree::OctreeOptions;
-use outcrop::procedural::Icosphere;
+use outcrop::procedural::{CUBOID_FACES, Icosphere};
 use outcrop::render::{Control, RenderSettings, RenderedImage, Renderer};
 use outcrop::scene::{Camera, Scene};
 use outcrop::source::MemorySource;
@@ -43,21 +43,7 @@ fn cuboid(half: [f64; 3], center: [f64; 3]) -> Mesh {
     let corner = |corner: u32| {
         [0, 1, 2].map(|axis| center[axis] + if corner >> axis & 1 == 0 { -half[axis] } else { half[axis] })
     };
-    let faces = vec![
-        [0, 2, 3],
-        [0, 3, 1],
-        [4, 5, 7],
-        [4, 7, 6],
-        [0, 1, 5],
-        [0, 5, 4],
-        [2, 6, 7],
-        [2, 7, 3],
-        [0, 4, 6],
-        [0, 6, 2],
-        [1, 3, 7],
-        [1, 7, 5],
-    ];
-    Mesh::new(Vertices::Float64((0..8).map(corner).collect()), faces)
+    Mesh::new(Vertices::Float64((0..8).map(corner).collect()), CUBOID_FACES.to_vec())
 }
 
 fn render(source: &Arc<dyn BlockSource>, scene: &Scene, settings: &RenderSettings) -> RenderedImage {

@@ -4,6 +4,8 @@
 
 #[path = "../support/compiling.rs"]
 mod compiling;
+#[path = "../support/numbers.rs"]
+mod numbers;
 #[path = "../geom/oracle.rs"]
 mod oracle;
 #[path = "../geom/samples.rs"]

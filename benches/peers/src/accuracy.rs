@@ -5,7 +5,7 @@ use std::path::Path;
 use outcrop::compile::PrecisionChoice;
 use outcrop::import::VertexBatch;
 use outcrop::octree::Tier;
-use outcrop::procedural::{Shape, Terrain};
+use outcrop::procedural::{CUBOID_FACES, Shape, Terrain};
 use outcrop::units::Bytes;
 
 use crate::clock::{measure, median};
@@ -107,20 +107,6 @@ fn scene(name: &str, mesh: &Mesh, rays: &Rays, repetitions: usize) -> Result<(),
 
 /// Boxes side by side, of different heights: a plain axis-aligned part.
 fn boxes() -> Mesh {
-    const FACES: [[u32; 3]; 12] = [
-        [0, 2, 3],
-        [0, 3, 1],
-        [4, 5, 7],
-        [4, 7, 6],
-        [0, 1, 5],
-        [0, 5, 4],
-        [2, 6, 7],
-        [2, 7, 3],
-        [0, 4, 6],
-        [0, 6, 2],
-        [1, 3, 7],
-        [1, 7, 5],
-    ];
     let mut mesh = Mesh::default();
     for x in 0..BOXES {
         for y in 0..BOXES {
@@ -130,7 +116,7 @@ fn boxes() -> Mesh {
                 let [i, j, k] = [0, 1, 2].map(|axis| corner >> axis & 1);
                 mesh.vertices.push([(x + i) as f32, (y + j) as f32, top * k as f32]);
             }
-            mesh.triangles.extend(FACES.map(|face| face.map(|corner| first + corner)));
+            mesh.triangles.extend(CUBOID_FACES.map(|face| face.map(|corner| first + corner)));
         }
     }
     mesh

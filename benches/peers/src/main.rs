@@ -23,6 +23,8 @@ mod hard_cases;
 #[cfg(embree)]
 mod leaks;
 mod mesh;
+#[path = "../../../tests/support/numbers.rs"]
+mod numbers;
 mod obvhs_engine;
 #[path = "../../../tests/geom/oracle.rs"]
 mod oracle;

@@ -161,7 +161,7 @@ fn a_small_budget_is_an_error_and_senseless_settings_are_too() {
     let mesh = Arc::new(mesh);
     let naive = || Ok(Naive { mesh: mesh.clone(), counters: TraceCounters::default(), rays_left: u64::MAX });
     let budget = MemoryBudget::new(Bytes::kib(64));
-    let result = picture(&stage, &Threads::One, &budget, &naive, &mut |_| Control::Continue);
+    let result = picture(&stage, &Threads::One, &budget, &naive, &|_| None, &mut |_| Control::Continue);
     assert!(matches!(result.map(|_| ()), Err(RenderError::Budget(_))));
     assert_eq!(budget.used(), Bytes(0));
 

@@ -1,6 +1,7 @@
 //! Pictures of a few triangles through a query that tries every triangle: what shading and ray trees do is seen here
 //! without octree, cache or blocks.
 
+mod adaptive;
 mod effects;
 mod invariance;
 #[cfg(feature = "exr")]
@@ -182,9 +183,9 @@ fn render_until(
     let mesh = Arc::new(mesh.clone());
     let budget = MemoryBudget::new(Bytes::mib(64));
     let naive = || Ok(Naive { mesh: mesh.clone(), counters: TraceCounters::default(), rays_left });
-    let picture = picture(&stage, threads, &budget, &naive, progress)?;
+    let picture = picture(&stage, threads, &budget, &naive, &|_| None, progress)?;
     // Only the film lives on.
-    assert_eq!(budget.used(), Film::bytes_needed(&stage.grid));
+    assert_eq!(budget.used(), Film::bytes_needed(&stage.grid, settings.keep_statistics));
     Ok(picture)
 }
 

@@ -1,0 +1,126 @@
+//! From a probe to the whole picture: what adaptive sampling would cost and reach at any threshold.
+//!
+//! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
+
+use super::Metric;
+use super::estimate::{Estimate, Sampled, cut_off, estimate};
+use crate::render::probe::{Level, ProbedCell, ProbedPixel};
+
+/// What a probe says.
+pub(super) struct Prediction<'p> {
+    pub cells: &'p [ProbedCell],
+    /// Cells across.
+    pub columns: usize,
+    /// Of the whole picture.
+    pub pixels_total: u64,
+    pub samples_max: u32,
+    pub confidence: f64,
+}
+
+impl Prediction<'_> {
+    /// Where a pixel stops at a threshold, as far as it was probed.
+    fn stop<'l>(&self, pixel: &'l ProbedPixel, deviation: f64) -> &'l Level {
+        &pixel.levels[pixel.stop(deviation, self.samples_max)]
+    }
+
+    /// How many times larger the error is than half differences say, because pixels stop where these happen to be small.
+    ///
+    /// Between the samples at which a pixel stops and as many again, which had no say in it, the expected square difference is the sum of
+    /// both square errors, so half of it is a fair estimate of one. The root of its mean over that of the half differences, at least 1. The
+    /// probe must have been refined to `deviation`; pixels without a further level count as they are.
+    pub fn stopping_bias(&self, deviation: f64) -> f64 {
+        let square = |level: &Level| level.half_difference.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
+        let (mut stopped, mut fair) = (0.0, 0.0);
+        for pixel in self.rows() {
+            let stop = pixel.stop(deviation, self.samples_max);
+            let own = square(&pixel.levels[stop]);
+            stopped += own;
+            // The half difference of twice the samples is half of the difference in question.
+            fair += pixel.levels.get(stop + 1).map_or(own, |next| 2.0 * square(next));
+        }
+        if stopped > 0.0 { (fair / stopped).sqrt().max(1.0) } else { 1.0 }
+    }
+
+    /// The estimated error at a threshold not below that to which the probe was refined.
+    pub fn estimate(&self, metric: Metric, deviation: f64) -> Estimate {
+        let bias = self.stopping_bias(deviation);
+        let pixels: Vec<Sampled> = self
+            .rows()
+            .map(|pixel| {
+                let Level { mean, half_difference, deviation, lost, .. } = *self.stop(pixel, deviation);
+                let half_difference = half_difference.map(|x| x * bias as f32);
+                Sampled { mean, half_difference, deviation, lost }
+            })
+            .collect();
+        let width = self.width();
+        estimate(metric, &mut pixels.into_iter(), width as u32, self.pixels_total, self.confidence)
+    }
+
+    /// What is cut off at a threshold; for FLIP nothing, as its estimate holds it.
+    pub fn cut_off(&self, metric: Metric, deviation: f64) -> f64 {
+        let lost: Vec<f64> = self.rows().map(|pixel| self.stop(pixel, deviation).lost).collect();
+        cut_off(metric, lost.into_iter()).unwrap_or(0.0)
+    }
+
+    /// How many pixels were probed.
+    pub fn pixels(&self) -> usize {
+        self.cells.iter().map(|cell| cell.pixels.len()).sum()
+    }
+
+    /// The largest deviation that any pixel has after its first samples.
+    pub fn deviation_max(&self) -> f64 {
+        self.rows().map(|pixel| pixel.levels[0].deviation).fold(0.0, f64::max)
+    }
+
+    /// Whether more samples would be taken at a lower threshold.
+    pub fn is_exhausted(&self, deviation: f64) -> bool {
+        self.rows().all(|pixel| {
+            let level = self.stop(pixel, deviation);
+            level.deviation == 0.0 || level.samples >= self.samples_max
+        })
+    }
+
+    /// Rays per pixel of a cell at a threshold. Below the threshold of the probe deviations are taken to fall as at an edge, with
+    /// `n^-3/4`.
+    pub fn rays_per_pixel(&self, cell: &ProbedCell, deviation: f64) -> f64 {
+        let samples: f64 = cell
+            .pixels
+            .iter()
+            .map(|pixel| {
+                let level = self.stop(pixel, deviation);
+                let reached = f64::from(level.samples);
+                if level.deviation <= deviation {
+                    return reached;
+                }
+                let more = libm::pow(level.deviation / deviation.max(f64::MIN_POSITIVE), 4.0 / 3.0);
+                (reached * more).min(f64::from(self.samples_max))
+            })
+            .sum();
+        samples / cell.pixels.len() as f64 * self.rays_per_sample(cell)
+    }
+
+    pub fn rays_per_sample(&self, cell: &ProbedCell) -> f64 {
+        cell.rays as f64 / cell.samples as f64
+    }
+
+    /// Samples of every pixel.
+    pub fn samples_min(&self) -> u32 {
+        self.cells[0].pixels[0].levels[0].samples
+    }
+
+    fn width(&self) -> usize {
+        self.cells[..self.columns].iter().map(|cell| cell.area.width as usize).sum()
+    }
+
+    /// All pixels as a picture, cell beside cell, row by row.
+    fn rows(&self) -> impl Iterator<Item = &ProbedPixel> {
+        self.cells.chunks(self.columns).flat_map(|cells| {
+            (0..cells[0].area.height as usize).flat_map(move |row| {
+                cells.iter().flat_map(move |cell| {
+                    let width = cell.area.width as usize;
+                    &cell.pixels[row * width..][..width]
+                })
+            })
+        })
+    }
+}

@@ -1,0 +1,583 @@
+//! From a goal to a picture and its certificate.
+
+use std::time::{Duration, Instant};
+
+use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalCounters, GoalSeconds, Verdict};
+use super::estimate::{Estimate, Sampled, cut_off, estimate, max_quantile};
+use super::predict::Prediction;
+use super::time::{self, Steering};
+use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs};
+use crate::LazyOctree;
+use crate::budget::MemoryBudget;
+use crate::compile::{Control, Threads};
+use crate::error::RenderError;
+use crate::model::Model;
+use crate::octree::Tier;
+use crate::render::probe::Probe;
+use crate::render::{
+    AdaptiveSampling, Film, Outcome, Progress, RenderSettings, RenderedImage, Renderer, normal_quantile,
+    worker_count,
+};
+use crate::scene::Scene;
+use crate::trace::Tracer;
+use crate::units::{Bytes, TileId};
+
+/// Pixels that a probe looks at, at most one in [`PROBE_SHARE`].
+const PROBE_PIXELS: u32 = 4096;
+const PROBE_SHARE: u64 = 16;
+/// The part of an error goal that cutting off may take, and what is aimed at of the rest.
+const CUT_OFF_SHARE: f64 = 0.25;
+const AIM: f64 = 0.95;
+/// Pictures made for an error goal, at most.
+const ATTEMPTS_MAX: u32 = 3;
+/// Tiles for a time goal: each is about the error of the time.
+const STEERED_TILES_MIN: usize = 200;
+/// Part of a time goal that may go into choosing.
+const CHOOSING_SHARE: f64 = 0.1;
+/// Confidence of the intervals of pixels where the goal is about the whole picture. It only scales the threshold.
+const PIXEL_CONFIDENCE: f64 = 0.95;
+
+/// A picture made to a goal.
+#[derive(Debug)]
+pub struct GoalImage {
+    /// The picture, with statistics, and what making it took.
+    pub image: RenderedImage,
+    /// What it is worth.
+    pub certificate: Certificate,
+}
+
+type GoalProgressFn<'f> = dyn FnMut(GoalProgress) -> Control + Send + 'f;
+
+/// Makes a picture to the goal of `options`, with size, filter, seed, effects and tile size of `settings`; an error
+/// goal sets contribution bound and samples, a time goal samples and, for small pictures, smaller tiles, and [`Goal::Exact`] the contribution bound.
+///
+/// If the goal cannot be met, the best picture comes back and its certificate says why it is not met. The clock has a say
+/// only in time goals; all that it chose stands in the knobs.
+///
+/// `progress` is called now and then, also while the knobs are chosen; [`Control::Cancel`] then ends with
+/// [`RenderError::Cancelled`], and later with the tiles that are finished.
+///
+/// # Errors
+/// As for [`Renderer::new`] and [`Renderer::render`]; [`RenderError::Setting`] for options that make no sense.
+pub fn render_to_goal(
+    octree: &LazyOctree,
+    scene: &Scene,
+    settings: &RenderSettings,
+    options: &GoalOptions,
+    threads: &Threads,
+    budget: &MemoryBudget,
+    progress: &mut (dyn FnMut(GoalProgress) -> Control + Send),
+) -> Result<GoalImage, RenderError> {
+    options.validate()?;
+    let _reserved = budget.reserve(own_bytes(settings, options), "the choice of accuracy")?;
+    // A closure of its own ends the callback's lifetime with the job's.
+    let mut progress = |state: GoalProgress| progress(state);
+    let mut job = Job::new(octree, scene, settings, options, threads, budget, &mut progress);
+    match options.goal {
+        Goal::Exact => job.exact(),
+        Goal::MaxTime(limit) => job.max_time(limit),
+        Goal::MaxError { metric, bound } => job.max_error(metric, bound),
+    }
+}
+
+/// What [`render_to_goal`] takes from the budget at most; see [`Renderer::bytes_needed`].
+///
+/// # Errors
+/// As for [`Renderer::new`].
+pub fn bytes_needed(
+    scene: &Scene,
+    model: &Model,
+    settings: &RenderSettings,
+    options: &GoalOptions,
+    threads: &Threads,
+) -> Result<Bytes, RenderError> {
+    options.validate()?;
+    let adaptive = AdaptiveSampling { samples_min: 4, error: 0.0, confidence: options.confidence };
+    let most = RenderSettings {
+        samples_per_pixel: if options.goal == Goal::Exact {
+            settings.samples_per_pixel
+        } else {
+            options.samples_max
+        },
+        adaptive: (options.goal != Goal::Exact).then_some(adaptive),
+        keep_statistics: true,
+        ..*settings
+    };
+    let render = Renderer::bytes_needed(scene, model, &most, threads)?;
+    // While a further picture is made, the best so far is kept.
+    let film = Film::bytes_needed(&most.grid(), true);
+    let probe = Renderer::probe_bytes(scene, model, &most, PROBE_PIXELS)?;
+    Ok(Bytes(render.0 + film.0 + probe.0 + own_bytes(settings, options).0))
+}
+
+/// Tables and, for FLIP, planes of numbers.
+fn own_bytes(settings: &RenderSettings, options: &GoalOptions) -> Bytes {
+    const FLIP_BYTES_PER_PIXEL: u64 = 320;
+    let pixels = u64::from(settings.width) * u64::from(settings.height);
+    let steering = if matches!(options.goal, Goal::MaxTime(_)) {
+        time::bytes_needed(&RenderSettings { tile_size: tile_size_to_steer(settings), ..*settings }).0
+    } else {
+        0
+    };
+    Bytes(pixels * FLIP_BYTES_PER_PIXEL + steering)
+}
+
+/// The picture of `settings` as they stand, with fixed samples, and what it is worth.
+pub(super) fn with_certificate(
+    octree: &LazyOctree,
+    scene: &Scene,
+    settings: &RenderSettings,
+    threads: &Threads,
+    budget: &MemoryBudget,
+    progress: &mut GoalProgressFn<'_>,
+) -> Result<GoalImage, RenderError> {
+    let options = GoalOptions::new(Goal::Exact);
+    let _reserved = budget.reserve(own_bytes(settings, &options), "the choice of accuracy")?;
+    // A closure of its own ends the callback's lifetime with the job's.
+    let mut progress = |state: GoalProgress| progress(state);
+    let mut job = Job::new(octree, scene, settings, &options, threads, budget, &mut progress);
+    let knobs = job.knobs(Sampling::Fixed { samples: settings.samples_per_pixel });
+    let (image, _) = job.picture(&knobs, None)?;
+    let certificate = job.certificate(&image, knobs);
+    Ok(GoalImage { image, certificate })
+}
+
+struct Job<'a, 'p> {
+    octree: &'a LazyOctree,
+    scene: &'a Scene,
+    settings: RenderSettings,
+    options: GoalOptions,
+    threads: &'a Threads,
+    budget: &'a MemoryBudget,
+    progress: &'p mut GoalProgressFn<'p>,
+    counters: GoalCounters,
+    seconds: GoalSeconds,
+    stopping_bias: f64,
+    start: Instant,
+}
+
+impl<'a, 'p> Job<'a, 'p> {
+    fn new(
+        octree: &'a LazyOctree,
+        scene: &'a Scene,
+        settings: &RenderSettings,
+        options: &GoalOptions,
+        threads: &'a Threads,
+        budget: &'a MemoryBudget,
+        progress: &'p mut GoalProgressFn<'p>,
+    ) -> Job<'a, 'p> {
+        Job {
+            octree,
+            scene,
+            settings: *settings,
+            options: *options,
+            threads,
+            budget,
+            progress,
+            counters: GoalCounters::default(),
+            seconds: GoalSeconds::default(),
+            stopping_bias: 1.0,
+            start: Instant::now(),
+        }
+    }
+}
+
+impl Job<'_, '_> {
+    fn exact(&mut self) -> Result<GoalImage, RenderError> {
+        let knobs = Knobs {
+            contribution_bound: 0.0,
+            ..self.knobs(Sampling::Fixed { samples: self.settings.samples_per_pixel })
+        };
+        let (image, _) = self.picture(&knobs, None)?;
+        let mut certificate = self.certificate(&image, knobs);
+        if certificate.verdict != Verdict::Cancelled {
+            let tier = self.octree.tier();
+            certificate.verdict = if !matches!(tier, Tier::Certified | Tier::Exact) {
+                not_met(format!(
+                    "hits of tier {} are not certain; open the octree with the tier certified",
+                    tier.name()
+                ))
+            } else if image.report.effects.work_cuts > 0 {
+                not_met("the work budget cut rays; raise it".to_string())
+            } else {
+                Verdict::Met
+            };
+        }
+        Ok(GoalImage { image, certificate })
+    }
+
+    fn max_error(&mut self, metric: Metric, bound: f64) -> Result<GoalImage, RenderError> {
+        let (contribution_bound, deviation) = self.choose(metric, bound)?;
+        self.seconds.choosing = self.start.elapsed().as_secs_f64();
+        let (confidence, quantile) = match metric {
+            Metric::Max => {
+                let quantile = max_quantile(self.pixels_total(), self.options.confidence);
+                let confidence = 1.0 - (1.0 - self.options.confidence) / (3.0 * self.pixels_total() as f64);
+                (confidence, quantile)
+            }
+            _ => (PIXEL_CONFIDENCE, normal_quantile(0.5 + 0.5 * PIXEL_CONFIDENCE)),
+        };
+        let mut best: Option<(f64, GoalImage)> = None;
+        let (mut error, mut contribution_bound) = (deviation * quantile, contribution_bound);
+        loop {
+            let knobs = Knobs { contribution_bound, ..self.knobs(self.adaptive(confidence, error)) };
+            let (image, _) = self.picture(&knobs, None)?;
+            let mut certificate = self.certificate(&image, knobs);
+            let reached = certificate.error_bound(metric).unwrap_or(f64::INFINITY);
+            let is_cancelled = certificate.verdict == Verdict::Cancelled;
+            if is_cancelled && best.is_some() {
+                break;
+            }
+            let cut = certificate.cut_off.of(metric).unwrap_or(0.0);
+            let estimated = reached - cut;
+            if !is_cancelled {
+                certificate.verdict = if reached <= bound {
+                    Verdict::Met
+                } else {
+                    self.why_missed(&image, reached, cut, bound)
+                };
+            }
+            let is_done = is_cancelled || reached <= bound;
+            if is_done || best.as_ref().is_none_or(|(least, _)| reached < *least) {
+                best = Some((reached, GoalImage { image, certificate }));
+            }
+            if is_done || self.counters.attempts >= ATTEMPTS_MAX {
+                break;
+            }
+            // What missed by a factor needs a little less than that factor.
+            if cut > CUT_OFF_SHARE * bound {
+                contribution_bound *= (CUT_OFF_SHARE * bound / cut).max(1.0 / 64.0);
+            }
+            let room = bound - cut.min(CUT_OFF_SHARE * bound);
+            error *= (0.9 * room / estimated.max(f64::MIN_POSITIVE)).clamp(0.1, 1.0);
+        }
+        let (_, mut best) = best.ok_or(RenderError::Cancelled)?;
+        best.certificate.counters = self.counters;
+        best.certificate.seconds = GoalSeconds { total: self.start.elapsed().as_secs_f64(), ..self.seconds };
+        Ok(best)
+    }
+
+    fn why_missed(&self, image: &RenderedImage, reached: f64, cut: f64, bound: f64) -> Verdict {
+        let most = self.options.samples_max;
+        let statistics = image.film.statistics().unwrap_or_default();
+        let full = statistics.iter().filter(|pixel| pixel.samples >= most).count();
+        let cause = if cut > bound {
+            format!(
+                "{cut:.2e} of it because the work budget or the contribution bound cut rays; raise the work budget"
+            )
+        } else if full > 0 {
+            format!("{full} pixels have the most samples allowed, {most}; allow more")
+        } else {
+            "it is only little above; ask for a little less".to_string()
+        };
+        not_met(format!("the error may be {reached:.2e}, not {bound:.2e}: {cause}"))
+    }
+
+    /// The contribution bound and the threshold (as a deviation) for an error goal.
+    fn choose(&mut self, metric: Metric, bound: f64) -> Result<(f64, f64), RenderError> {
+        let mut contribution_bound = match metric {
+            Metric::Flip => 0.05 * bound,
+            _ => 0.25 * bound,
+        };
+        let mut cut_before = f64::INFINITY;
+        for _ in 0..8 {
+            let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
+            let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+            let mut probe = self.probe(&renderer)?;
+            let first = self.prediction(&probe);
+            let cut = match metric {
+                // Not a proof, but a measure of how much it matters.
+                Metric::Flip => first.cut_off(Metric::Rmse, f64::INFINITY),
+                _ => first.cut_off(metric, f64::INFINITY),
+            };
+            // What work budgets cut does not shrink.
+            if cut > CUT_OFF_SHARE * bound && cut < 0.9 * cut_before {
+                self.count(&probe);
+                contribution_bound *= (CUT_OFF_SHARE * bound / cut).clamp(1.0 / 64.0, 0.5);
+                cut_before = cut;
+                continue;
+            }
+            let deviation = self.choose_deviation(&mut probe, metric, bound);
+            self.count(&probe);
+            return Ok((contribution_bound, deviation?));
+        }
+        // Eight reductions and it still shrinks: go on with what there is; the certificate tells.
+        let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
+        let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+        let mut probe = self.probe(&renderer)?;
+        let deviation = self.choose_deviation(&mut probe, metric, bound);
+        self.count(&probe);
+        Ok((contribution_bound, deviation?))
+    }
+
+    /// The highest threshold that keeps the bound, by what the probe shows.
+    fn choose_deviation(
+        &mut self,
+        probe: &mut Probe<'_, Tracer<'_>>,
+        metric: Metric,
+        bound: f64,
+    ) -> Result<f64, RenderError> {
+        let first = self.prediction(probe);
+        let room = |cut: f64| (bound - cut).max(0.0);
+        if metric == Metric::Max {
+            let room = room(first.cut_off(metric, f64::INFINITY));
+            return Ok(AIM * room / max_quantile(self.pixels_total(), self.options.confidence));
+        }
+        let mut high = first.deviation_max();
+        let keeps = |prediction: &Prediction<'_>, deviation: f64| {
+            let cut = prediction.cut_off(metric, deviation);
+            prediction.estimate(metric, deviation).upper <= AIM * room(cut)
+        };
+        let samples_max = self.options.samples_max;
+        // From the first samples alone to ever more, until the bound is kept; then back to the highest threshold that keeps it.
+        let mut fails = None;
+        let chosen = loop {
+            if !probe.refine(high, samples_max, &mut || ask(self.progress))? {
+                return Err(RenderError::Cancelled);
+            }
+            let prediction = self.prediction(probe);
+            if keeps(&prediction, high) {
+                let mut fits = high;
+                if let Some(mut fails) = fails {
+                    for _ in 0..5 {
+                        let middle = f64::sqrt(fits * fails);
+                        if keeps(&prediction, middle) { fits = middle } else { fails = middle }
+                    }
+                }
+                break fits;
+            }
+            if prediction.is_exhausted(high) {
+                break high;
+            }
+            fails = Some(high);
+            high *= 0.5;
+        };
+        self.stopping_bias = self.prediction(probe).stopping_bias(chosen);
+        Ok(chosen)
+    }
+
+    fn max_time(&mut self, limit: Duration) -> Result<GoalImage, RenderError> {
+        self.settings.tile_size = tile_size_to_steer(&self.settings);
+        let settings = self.probe_settings();
+        let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+        let begun = Instant::now();
+        let mut probe = self.probe(&renderer)?;
+        // Ever more samples, until choosing has had its share of the time.
+        let mut deviation = self.prediction(&probe).deviation_max();
+        let samples_max = self.options.samples_max;
+        while begun.elapsed() < limit.mul_f64(0.5 * CHOOSING_SHARE)
+            && !self.prediction(&probe).is_exhausted(deviation)
+        {
+            deviation *= 0.5;
+            if !probe.refine(deviation, samples_max, &mut || ask(self.progress))? {
+                return Err(RenderError::Cancelled);
+            }
+        }
+        self.stopping_bias = self.prediction(&probe).stopping_bias(deviation);
+        let rays: u64 = probe.cells.iter().map(|cell| cell.rays).sum();
+        let workers = worker_count(self.threads);
+        let rate = rays as f64 / begun.elapsed().as_secs_f64().max(1e-9) * workers as f64;
+        let quantile = normal_quantile(0.5 + 0.5 * PIXEL_CONFIDENCE);
+        let prediction = self.prediction(&probe);
+        // The certificate takes time, too; FLIP takes nearly all of it, and as much per pixel as it does here.
+        let closing = Instant::now();
+        prediction.estimate(Metric::Flip, deviation);
+        let share = self.pixels_total() as f64 / prediction.pixels() as f64;
+        let until = limit.saturating_sub(closing.elapsed().mul_f64(share));
+        let steering = Steering::new(&prediction, &self.settings, quantile, self.start, until, workers, rate);
+        self.count(&probe);
+        self.seconds.choosing = self.start.elapsed().as_secs_f64();
+        let left = until.saturating_sub(self.start.elapsed()).as_secs_f64();
+        let least = steering.rays_min();
+        drop(probe);
+
+        let mut knobs = self.knobs(self.adaptive(PIXEL_CONFIDENCE, 0.0));
+        knobs.contribution_bound = self.settings.contribution_bound;
+        let image = if left * rate < least {
+            // Too little time to look at errors: the most samples that fit, the same everywhere.
+            let first = f64::from(AdaptiveSampling::SAMPLES_MIN);
+            let samples = (left * rate / least * first).floor().clamp(1.0, first - 1.0) as u32;
+            knobs.sampling = Sampling::Fixed { samples };
+            self.stopping_bias = 1.0;
+            self.picture(&knobs, None)?.0
+        } else {
+            let (image, thresholds) = self.picture(&knobs, Some(steering))?;
+            if let Sampling::Adaptive { thresholds: recorded, .. } = &mut knobs.sampling {
+                *recorded = thresholds;
+            }
+            image
+        };
+        let mut certificate = self.certificate(&image, knobs);
+        if certificate.verdict != Verdict::Cancelled {
+            certificate.verdict = if certificate.seconds.total <= 1.1 * limit.as_secs_f64() {
+                Verdict::Met
+            } else {
+                not_met(format!(
+                    "it took {:.2} s, not {:.2} s",
+                    certificate.seconds.total,
+                    limit.as_secs_f64()
+                ))
+            };
+        }
+        Ok(GoalImage { image, certificate })
+    }
+
+    fn pixels_total(&self) -> u64 {
+        u64::from(self.settings.width) * u64::from(self.settings.height)
+    }
+
+    fn knobs(&self, sampling: Sampling) -> Knobs {
+        Knobs {
+            tier: self.octree.tier(),
+            contribution_bound: self.settings.contribution_bound,
+            work_budget: self.settings.work_budget,
+            sampling,
+            tile_size: self.settings.tile_size,
+        }
+    }
+
+    fn adaptive(&self, confidence: f64, error: f64) -> Sampling {
+        Sampling::Adaptive {
+            samples_min: AdaptiveSampling::SAMPLES_MIN,
+            samples_max: self.options.samples_max,
+            confidence,
+            thresholds: vec![TileThreshold { first_tile: TileId(0), error }],
+        }
+    }
+
+    /// Settings under which a pixel's samples are those that the picture will have.
+    fn probe_settings(&self) -> RenderSettings {
+        let adaptive = AdaptiveSampling {
+            samples_min: AdaptiveSampling::SAMPLES_MIN,
+            error: 0.0,
+            confidence: PIXEL_CONFIDENCE,
+        };
+        RenderSettings {
+            samples_per_pixel: self.options.samples_max,
+            adaptive: Some(adaptive),
+            ..self.settings
+        }
+    }
+
+    fn probe<'r>(&mut self, renderer: &'r Renderer<'_>) -> Result<Probe<'r, Tracer<'r>>, RenderError> {
+        let share = (self.pixels_total() / PROBE_SHARE).clamp(16, u64::from(PROBE_PIXELS)) as u32;
+        let probe = renderer.probe(share, AdaptiveSampling::SAMPLES_MIN, &mut || ask(self.progress))?;
+        probe.ok_or(RenderError::Cancelled)
+    }
+
+    fn prediction<'c>(&self, probe: &'c Probe<'_, Tracer<'_>>) -> Prediction<'c> {
+        Prediction {
+            cells: &probe.cells,
+            columns: probe.columns,
+            pixels_total: self.pixels_total(),
+            samples_max: self.options.samples_max,
+            confidence: self.options.confidence,
+        }
+    }
+
+    fn count(&mut self, probe: &Probe<'_, Tracer<'_>>) {
+        self.counters.effects.merge(&probe.effects());
+        self.counters.trace.merge(&probe.queries());
+    }
+
+    /// Makes a picture and adds what it took; with `steering`, to the clock, and what was chosen comes back.
+    fn picture(
+        &mut self,
+        knobs: &Knobs,
+        steering: Option<Steering>,
+    ) -> Result<(RenderedImage, Vec<TileThreshold>), RenderError> {
+        let begun = Instant::now();
+        let attempt = self.counters.attempts + 1;
+        let told = &mut *self.progress;
+        let mut progress = |progress: Progress| told(GoalProgress { attempt, progress });
+        let image = match &steering {
+            None => render_with_knobs(
+                self.octree,
+                self.scene,
+                &self.settings,
+                knobs,
+                self.threads,
+                self.budget,
+                &mut progress,
+            )?,
+            Some(steering) => {
+                let renderer =
+                    Renderer::new(self.octree, self.scene, &knobs.settings(&self.settings), self.budget)?;
+                renderer.render_steered(
+                    self.threads,
+                    &|tile| Some(steering.threshold(tile)),
+                    &mut progress,
+                )?
+            }
+        };
+        self.counters.attempts = attempt;
+        self.counters.effects.merge(&image.report.effects);
+        self.counters.trace.merge(&image.report.trace);
+        self.seconds.rendering += begun.elapsed().as_secs_f64();
+        Ok((image, steering.map(Steering::into_thresholds).unwrap_or_default()))
+    }
+
+    /// Everything but whether the goal is met.
+    fn certificate(&self, image: &RenderedImage, knobs: Knobs) -> Certificate {
+        let is_whole = image.report.outcome == Outcome::Complete;
+        let statistics = image.film.statistics().unwrap_or_default();
+        let count = statistics.len().max(1) as f64;
+        let lost = || statistics.iter().map(|pixel| f64::from(pixel.lost));
+        let is_known = is_whole && !statistics.is_empty() && statistics.iter().all(|pixel| pixel.samples > 1);
+        let estimates = is_known.then(|| Metric::ALL.map(|metric| self.estimate(metric, &image.film)));
+        Certificate {
+            goal: self.options.goal,
+            verdict: if is_whole { Verdict::Met } else { Verdict::Cancelled },
+            geometry: GeometryBounds::of(
+                self.octree.model(),
+                self.octree.tier(),
+                self.scene.camera(),
+                &self.settings,
+                self.options.vertex_error,
+            ),
+            cut_off: CutOffBounds {
+                rmse: cut_off(Metric::Rmse, lost()).unwrap_or(0.0),
+                max: cut_off(Metric::Max, lost()).unwrap_or(0.0),
+            },
+            estimates,
+            stopping_bias: self.stopping_bias,
+            confidence: self.options.confidence,
+            samples_mean: statistics.iter().map(|pixel| f64::from(pixel.samples)).sum::<f64>() / count,
+            knobs,
+            counters: self.counters,
+            seconds: GoalSeconds { total: self.start.elapsed().as_secs_f64(), ..self.seconds },
+        }
+    }
+
+    fn estimate(&self, metric: Metric, film: &Film) -> Estimate {
+        let statistics = film.statistics().unwrap_or_default();
+        let mut pixels = film.pixels().iter().zip(statistics).map(|(mean, known)| Sampled {
+            mean: *mean,
+            half_difference: known.half_difference.map(|x| x * self.stopping_bias as f32),
+            deviation: f64::from(known.deviation),
+            lost: f64::from(known.lost),
+        });
+        estimate(metric, &mut pixels, film.width(), self.pixels_total(), self.options.confidence)
+    }
+}
+
+/// Tiles small enough that there are at least [`STEERED_TILES_MIN`], but not so small that their borders cost much.
+fn tile_size_to_steer(settings: &RenderSettings) -> u32 {
+    let mut size = settings.tile_size;
+    while size > 16
+        && (RenderSettings { tile_size: size, ..*settings }).grid().tile_count() < STEERED_TILES_MIN
+    {
+        size /= 2;
+    }
+    size.max(settings.tile_size.min(16))
+}
+
+fn not_met(reason: String) -> Verdict {
+    Verdict::NotMet { reason }
+}
+
+/// Asks the caller whether to go on while the knobs are chosen.
+fn ask(progress: &mut GoalProgressFn<'_>) -> Control {
+    let nothing = Progress { samples: 0, samples_total: 0, tiles: 0, tiles_total: 0 };
+    progress(GoalProgress { attempt: 0, progress: nothing })
+}

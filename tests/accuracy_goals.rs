@@ -1,0 +1,289 @@
+//! Pictures to a goal: the goal is met or said not to be, what is claimed holds against a reference, and recorded knobs give the same
+//! picture again.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use outcrop::accuracy::{
+    Certificate, Goal, GoalImage, GoalOptions, Knobs, Metric, Sampling, Verdict, render_to_goal,
+    render_with_knobs,
+};
+use outcrop::compile::{CompileOptions, Compiler, Control, PrecisionChoice, Threads};
+use outcrop::error::RenderError;
+use outcrop::geom::Precision;
+use outcrop::octree::{OctreeOptions, Tier};
+use outcrop::procedural::{Assembly, Gears, GlassStack, Icosphere, Shape, Terrain, Tessellation};
+use outcrop::render::{Film, RenderSettings, Renderer};
+use outcrop::scene::{Camera, Light, Scene};
+use outcrop::source::MemorySource;
+use outcrop::units::Bytes;
+use outcrop::{BlockSource, LazyOctree, MemoryBudget};
+
+fn compiled(shape: &dyn Shape, precision: PrecisionChoice) -> Arc<dyn BlockSource> {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("shape.outcrop");
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let mut progress = |_| Control::Continue;
+    let options = CompileOptions { precision, block_bytes: 16 << 10, ..CompileOptions::default() };
+    let mut compiler = Compiler::new(&path, options, &budget, &mut progress).unwrap();
+    shape.emit(&mut compiler).unwrap();
+    compiler.finish().unwrap();
+    Arc::new(MemorySource::new(std::fs::read(&path).unwrap()).unwrap())
+}
+
+/// Gears and a stack of glass.
+fn still_life() -> (Arc<dyn BlockSource>, Scene) {
+    let gears = Gears::with_tessellation(1, Tessellation::new(1).unwrap()).unwrap();
+    let shape = Assembly::new().with(gears, 1.0, [0.0; 3]).with(
+        GlassStack::new(1, 0.3, 0.3, 1.3).unwrap(),
+        0.3,
+        [0.9, -0.9, 0.0],
+    );
+    let camera = Camera::pinhole([-1.1, -2.1, 2.6], [0.0; 3], [0.0, 0.0, 1.0], 45.0).unwrap();
+    let scene = Scene::new(camera)
+        .with_background([0.1, 0.36, 0.75])
+        .with_ambient([0.1; 3])
+        .with_light(Light::point([2.0, -2.5, 2.5], [0.7; 3]))
+        .with_light(Light::point([-2.0, 4.0, 3.0], [0.4; 3]));
+    (compiled(&shape, PrecisionChoice::Auto), scene)
+}
+
+fn open(source: &Arc<dyn BlockSource>, tier: Tier) -> (LazyOctree, MemoryBudget) {
+    let budget = MemoryBudget::new(Bytes::mib(256));
+    let options = OctreeOptions { tracers_max: 4, slots_max: Some(64), tier, ..OctreeOptions::default() };
+    (LazyOctree::open(Arc::clone(source), &budget, options).unwrap(), budget)
+}
+
+fn settings() -> RenderSettings {
+    RenderSettings { tile_size: 16, ..RenderSettings::new(72, 60) }
+}
+
+fn to_goal(octree: &LazyOctree, budget: &MemoryBudget, scene: &Scene, options: &GoalOptions) -> GoalImage {
+    let go_on = &mut |_| Control::Continue;
+    render_to_goal(octree, scene, &settings(), options, &Threads::Count(2), budget, go_on).unwrap()
+}
+
+fn again(
+    octree: &LazyOctree,
+    budget: &MemoryBudget,
+    scene: &Scene,
+    knobs: &Knobs,
+    threads: &Threads,
+) -> Film {
+    let go_on = &mut |_| Control::Continue;
+    render_with_knobs(octree, scene, &settings(), knobs, threads, budget, go_on).unwrap().film
+}
+
+fn reference(octree: &LazyOctree, budget: &MemoryBudget, scene: &Scene) -> Film {
+    let settings =
+        RenderSettings { samples_per_pixel: 256, contribution_bound: 1e-4, seed: 77, ..settings() };
+    let renderer = Renderer::new(octree, scene, &settings, budget).unwrap();
+    renderer.render(&Threads::Count(2), &mut |_| Control::Continue).unwrap().into_complete().unwrap()
+}
+
+/// The error is what the certificate says or less, and the certificate is no idle one.
+fn holds(certificate: &Certificate, found: &Film, reference: &Film) {
+    for metric in Metric::ALL {
+        let error = metric.distance(reference.pixels(), found.pixels(), found.width());
+        let bound = certificate.error_bound(metric).unwrap();
+        println!("{}: {error:.2e}, certified {bound:.2e}", metric.name());
+        assert!(error <= bound, "{}: {error} above {bound}", metric.name());
+        if metric != Metric::Max {
+            assert!(bound < 4.0 * error, "{}: {error} far below {bound}", metric.name());
+        }
+    }
+}
+
+#[test]
+fn error_goals_are_met_and_certificates_hold() {
+    let (source, scene) = still_life();
+    let (octree, budget) = open(&source, Tier::Certified);
+    let used = budget.used();
+    let reference = reference(&octree, &budget, &scene);
+    let mut rays_before = 0;
+    for (metric, bound) in
+        [(Metric::Rmse, 0.02), (Metric::Rmse, 0.008), (Metric::Flip, 0.04), (Metric::Max, 0.2)]
+    {
+        let options = GoalOptions::new(Goal::MaxError { metric, bound });
+        let GoalImage { image, certificate } = to_goal(&octree, &budget, &scene, &options);
+        println!("{} {bound}: {certificate}", metric.name());
+        assert_eq!(certificate.verdict, Verdict::Met);
+        assert!(certificate.error_bound(metric).unwrap() <= bound);
+        holds(&certificate, &image.film, &reference);
+        assert!(
+            certificate.geometry.is_visibility_exact
+                && certificate.geometry.t_relative == Some(2f64.powi(-40))
+        );
+        assert!(certificate.cut_off.rmse <= 0.4 * bound, "{:?}", certificate.cut_off);
+        // The same picture again, on one thread.
+        let film = again(&octree, &budget, &scene, &certificate.knobs, &Threads::One);
+        assert!(film.pixels() == image.film.pixels() && film.statistics() == image.film.statistics());
+        if metric == Metric::Rmse {
+            assert!(certificate.counters.effects.rays() > rays_before, "half the error comes at a price");
+            rays_before = certificate.counters.effects.rays();
+        }
+        drop((image, film));
+    }
+    drop(reference);
+    assert_eq!(budget.used(), used, "everything reserved is given back");
+}
+
+/// Small features everywhere: pixels look finished by chance, and the certificate must know.
+#[test]
+fn noise_does_not_fool_the_certificate() {
+    let source = compiled(&Terrain::new(150, 1).unwrap(), PrecisionChoice::Auto);
+    let scene = Scene::automatic(&source.model().bounds, 1.2);
+    let (octree, budget) = open(&source, Tier::Certified);
+    let reference = reference(&octree, &budget, &scene);
+    for bound in [0.01, 0.005] {
+        let options = GoalOptions::new(Goal::MaxError { metric: Metric::Rmse, bound });
+        let GoalImage { image, certificate } = to_goal(&octree, &budget, &scene, &options);
+        println!("{bound}, bias {}: {certificate}", certificate.stopping_bias);
+        assert_eq!(certificate.verdict, Verdict::Met);
+        assert!(certificate.stopping_bias > 1.0);
+        holds(&certificate, &image.film, &reference);
+    }
+}
+
+#[test]
+fn what_the_clock_chose_is_recorded() {
+    let (source, scene) = still_life();
+    let (octree, budget) = open(&source, Tier::Certified);
+    let mut samples_before = 0.0;
+    for milliseconds in [1, 500, 2000] {
+        let options = GoalOptions::new(Goal::MaxTime(Duration::from_millis(milliseconds)));
+        let GoalImage { image, certificate } = to_goal(&octree, &budget, &scene, &options);
+        println!("{milliseconds} ms: {certificate}\n{:?}", certificate.knobs.sampling);
+        for threads in [Threads::One, Threads::Count(3)] {
+            let film = again(&octree, &budget, &scene, &certificate.knobs, &threads);
+            assert!(film.pixels() == image.film.pixels(), "{milliseconds} ms on {threads:?}");
+        }
+        // No assertion on time itself; but no time at all cannot be met, and more time is used.
+        if milliseconds == 1 {
+            assert!(matches!(certificate.verdict, Verdict::NotMet { .. }), "{certificate}");
+            assert!(matches!(certificate.knobs.sampling, Sampling::Fixed { samples: 1 }));
+            assert!(certificate.estimates.is_none());
+        }
+        assert!(certificate.samples_mean > samples_before);
+        samples_before = certificate.samples_mean;
+    }
+}
+
+#[test]
+fn exact_cuts_nothing_and_wants_certain_hits() {
+    let shape = Icosphere::new(1.0, [1e6, 0.0, 0.0], 3).unwrap();
+    let source = compiled(&shape, PrecisionChoice::Lattice { exponent: -10 });
+    let camera = Camera::pinhole([1e6 + 4.0, 0.5, 0.3], [1e6, 0.0, 0.0], [0.0, 0.0, 1.0], 40.0).unwrap();
+    let scene =
+        Scene::new(camera).with_ambient([0.3; 3]).with_light(Light::directional([-1.0, 0.2, -0.4], [0.5; 3]));
+    let options = GoalOptions::new(Goal::Exact);
+    for tier in [Tier::Certified, Tier::Exact, Tier::Fast] {
+        let (octree, budget) = open(&source, tier);
+        let GoalImage { image, certificate } = to_goal(&octree, &budget, &scene, &options);
+        assert_eq!(certificate.verdict == Verdict::Met, tier != Tier::Fast, "{certificate}");
+        assert_eq!(certificate.geometry.is_visibility_exact, tier != Tier::Fast);
+        assert_eq!((certificate.cut_off.rmse, certificate.cut_off.max), (0.0, 0.0));
+        assert_eq!(certificate.knobs.contribution_bound, 0.0);
+        // Half a step of the lattice, and what it is in the picture.
+        assert!(matches!(certificate.geometry.precision, Precision::Lattice(_)));
+        assert_eq!(certificate.geometry.vertex, 2f64.powi(-11));
+        assert!((0.01..1.0).contains(&certificate.geometry.vertex_pixels.unwrap()));
+        assert_eq!(image.film.statistics().unwrap()[0].samples, 1);
+    }
+    let known = GoalOptions { vertex_error: Some(1e-5), ..options };
+    let (octree, budget) = open(&source, Tier::Certified);
+    assert_eq!(to_goal(&octree, &budget, &scene, &known).certificate.geometry.vertex, 1e-5);
+}
+
+#[test]
+fn what_cannot_be_met_says_so() {
+    let (source, scene) = still_life();
+    let (octree, budget) = open(&source, Tier::Certified);
+    let goal = Goal::MaxError { metric: Metric::Rmse, bound: 5e-4 };
+    let options = GoalOptions { samples_max: 8, ..GoalOptions::new(goal) };
+    let GoalImage { image, certificate } = to_goal(&octree, &budget, &scene, &options);
+    let Verdict::NotMet { reason } = &certificate.verdict else { panic!("{certificate}") };
+    assert!(reason.contains("the most samples allowed, 8"), "{reason}");
+    assert!(image.film.is_complete() && certificate.error_bound(Metric::Rmse).unwrap() > 5e-4);
+    assert!(certificate.samples_mean > 4.0 && certificate.samples_mean <= 8.0);
+}
+
+#[test]
+fn goals_can_be_cancelled_and_tell_how_far_they_are() {
+    let (source, scene) = still_life();
+    let (octree, budget) = open(&source, Tier::Certified);
+    let used = budget.used();
+    let options = GoalOptions::new(Goal::MaxError { metric: Metric::Rmse, bound: 0.01 });
+    let run = |progress: &mut (dyn FnMut(outcrop::accuracy::GoalProgress) -> Control + Send)| {
+        render_to_goal(&octree, &scene, &settings(), &options, &Threads::Count(2), &budget, progress)
+    };
+    // While the knobs are chosen: after no, and after some cells.
+    for calls in [1, 5] {
+        let mut left = calls;
+        let error = run(&mut |progress| {
+            assert_eq!(progress.attempt, 0);
+            left -= 1;
+            if left == 0 { Control::Cancel } else { Control::Continue }
+        });
+        assert!(matches!(error.map(|_| ()), Err(RenderError::Cancelled)));
+    }
+    // In the picture.
+    let GoalImage { image, certificate } = run(&mut |progress| {
+        assert!(progress.progress.samples <= progress.progress.samples_total);
+        if progress.attempt == 1 && progress.progress.tiles >= 3 {
+            Control::Cancel
+        } else {
+            Control::Continue
+        }
+    })
+    .unwrap();
+    assert_eq!(certificate.verdict, Verdict::Cancelled);
+    assert!(!image.film.is_complete() && certificate.estimates.is_none());
+    drop(image);
+    assert_eq!(budget.used(), used);
+}
+
+#[test]
+fn senseless_goals_and_foreign_knobs_are_refused() {
+    let (source, scene) = still_life();
+    let (octree, budget) = open(&source, Tier::Certified);
+    let exact = GoalOptions::new(Goal::Exact);
+    let error = |bound| GoalOptions::new(Goal::MaxError { metric: Metric::Max, bound });
+    for bad in [
+        error(0.0),
+        error(f64::NAN),
+        GoalOptions::new(Goal::MaxTime(Duration::ZERO)),
+        GoalOptions { confidence: 1.0, ..exact },
+        GoalOptions { samples_max: 3, ..exact },
+        GoalOptions { vertex_error: Some(-1.0), ..exact },
+    ] {
+        let go_on = &mut |_| Control::Continue;
+        let result = render_to_goal(&octree, &scene, &settings(), &bad, &Threads::One, &budget, go_on);
+        assert!(matches!(result.map(|_| ()), Err(RenderError::Setting { .. })), "{bad:?}");
+    }
+    let knobs = to_goal(&octree, &budget, &scene, &exact).certificate.knobs;
+    let foreign = Knobs { tier: Tier::Fast, ..knobs };
+    let go_on = &mut |_| Control::Continue;
+    let result = render_with_knobs(&octree, &scene, &settings(), &foreign, &Threads::One, &budget, go_on);
+    assert!(result.map(|_| ()).unwrap_err().to_string().contains("open it with that tier"));
+}
+
+#[test]
+fn what_is_reserved_is_what_is_said() {
+    let (source, scene) = still_life();
+    for goal in [
+        Goal::MaxError { metric: Metric::Flip, bound: 0.1 },
+        Goal::MaxTime(Duration::from_millis(300)),
+        Goal::Exact,
+    ] {
+        let options = GoalOptions::new(goal);
+        let threads = Threads::Count(2);
+        let needed =
+            outcrop::accuracy::bytes_needed(&scene, source.model(), &settings(), &options, &threads).unwrap();
+        let (octree, _) = open(&source, Tier::Certified);
+        let budget = MemoryBudget::new(needed);
+        let go_on = &mut |_| Control::Continue;
+        render_to_goal(&octree, &scene, &settings(), &options, &threads, &budget, go_on).unwrap();
+        assert!(budget.peak() <= needed, "{} of {needed}", budget.peak());
+    }
+}
