@@ -24,7 +24,7 @@ pub struct Certificate {
     /// Estimated: the error of finitely many samples, in every metric. That in [`Metric::Flip`] holds what was cut off as well. None if a
     /// pixel has a single sample, which says nothing about itself, or the picture is not whole.
     pub estimates: Option<[Estimate; 3]>,
-    /// What the estimates of RMSE and FLIP hold for pixels that stop where their samples happen to agree: half differences are taken this many
+    /// What the estimates hold for pixels that stop where their samples happen to agree: half differences and deviations are taken this many
     /// times. From samples that had no say in stopping; 1 where sampling is not adaptive.
     pub stopping_bias: f64,
     /// Confidence of each upper estimate.

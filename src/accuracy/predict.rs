@@ -49,7 +49,7 @@ impl Prediction<'_> {
             .map(|pixel| {
                 let Level { mean, half_difference, deviation, lost, .. } = *self.stop(pixel, deviation);
                 let half_difference = half_difference.map(|x| x * bias as f32);
-                Sampled { mean, half_difference, deviation, lost }
+                Sampled { mean, half_difference, deviation: bias * deviation, lost }
             })
             .collect();
         let width = self.width();

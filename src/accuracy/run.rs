@@ -554,7 +554,7 @@ impl Job<'_, '_> {
         let mut pixels = film.pixels().iter().zip(statistics).map(|(mean, known)| Sampled {
             mean: *mean,
             half_difference: known.half_difference.map(|x| x * self.stopping_bias as f32),
-            deviation: f64::from(known.deviation),
+            deviation: f64::from(known.deviation) * self.stopping_bias,
             lost: f64::from(known.lost),
         });
         estimate(metric, &mut pixels, film.width(), self.pixels_total(), self.options.confidence)

@@ -40,6 +40,8 @@ pub(super) struct Steering {
 #[derive(Default)]
 struct State {
     thresholds: Vec<TileThreshold>,
+    /// Threshold of the tile taken last.
+    last_step: Option<usize>,
     /// When the first tile was taken.
     begun: Option<Instant>,
     /// Rays that the tiles taken cost.
@@ -102,7 +104,10 @@ impl Steering {
         let rate = if elapsed > 0.0 { trust * done / elapsed + (1.0 - trust) * self.rate } else { self.rate };
         let room = left * rate - in_flight;
         let remaining = &self.rays_from[index];
-        let step = remaining.iter().take_while(|rays| f64::from(**rays) <= room).count().saturating_sub(1);
+        let fitting = remaining.iter().take_while(|rays| f64::from(**rays) <= room).count().saturating_sub(1);
+        // Time left over near the end is no reason to spend it all on a few tiles.
+        let step = state.last_step.map_or(fitting, |last| fitting.min(last + 1));
+        state.last_step = Some(step);
         let rays = f64::from(remaining[step] - self.rays_from[index + 1][step]);
         state.rays_taken += rays;
         state.rays_last = rays;

@@ -289,11 +289,13 @@ mod tests {
                 samples += u64::from(done.samples());
             }
             let allowed = (1.0 - confidence) * PIXELS as f64;
-            println!(
-                "{confidence}: {misses} of {PIXELS} off by more than {error} ({allowed} allowed; {plain_misses} by s^2 / n), {} samples each",
-                samples / PIXELS
-            );
             assert!(f64::from(misses) <= allowed, "{misses} of {PIXELS} at {confidence}");
+            // What it is for: the plain estimate does not keep what it says, at no great price.
+            assert!(
+                confidence < 0.95 || f64::from(plain_misses) > 2.0 * allowed,
+                "{plain_misses} by s^2 / n"
+            );
+            assert!(samples / PIXELS < 512, "{samples} samples");
         }
     }
 }
