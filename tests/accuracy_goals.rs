@@ -76,7 +76,7 @@ fn again(
 
 fn reference(octree: &LazyOctree, budget: &MemoryBudget, scene: &Scene) -> Film {
     let settings =
-        RenderSettings { samples_per_pixel: 256, contribution_bound: 1e-4, seed: 77, ..settings() };
+        RenderSettings { samples_per_pixel: 1024, contribution_bound: 1e-4, seed: 77, ..settings() };
     let renderer = Renderer::new(octree, scene, &settings, budget).unwrap();
     renderer.render(&Threads::Count(2), &mut |_| Control::Continue).unwrap().into_complete().unwrap()
 }

@@ -18,6 +18,7 @@ mod lamps;
 mod layers;
 mod media;
 mod optics;
+mod path_sizes;
 mod paths;
 pub(crate) mod probe;
 mod progress;

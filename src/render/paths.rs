@@ -16,6 +16,7 @@ use super::hot::{EffectsOfLoop, Matt, Sampled, Whitted};
 use super::lamps::{Lobes, Scatter, highlight};
 use super::media::{Border, Borders};
 use super::optics::{absorb, reflect, split};
+use super::path_sizes::Sizes;
 use super::query::RayQuery;
 use super::random::Dimension;
 use super::report::WorkerSeconds;
@@ -118,47 +119,6 @@ pub(crate) struct PathTracer<'s, Q> {
     waiting_walks: Vec<Option<Walk>>,
     /// Of nested media.
     borders: Borders,
-}
-
-/// Sizes of the lists, all fixed by the settings.
-#[derive(Clone, Copy, Debug)]
-struct Sizes {
-    batch: usize,
-    stack_depth: usize,
-    shadows: usize,
-    forced: usize,
-    /// Places of the lists that only loops with sampled effects have.
-    walks: usize,
-    borders: usize,
-}
-
-impl Sizes {
-    fn of(stage: &Stage) -> Sizes {
-        let batch = stage.settings.batch_samples.min(tile_samples_max(stage)) as usize;
-        let lamps = stage.emitters.len().clamp(1, 4);
-        let is_sampled = stage.path_loop == Loop::Sampled;
-        let has_shadows = stage.shadows || stage.force_shadows || stage.samples_lights();
-        let halvings = stage.settings.work_budget.ilog2() as usize + 1;
-        Sizes {
-            batch,
-            stack_depth: match (stage.transmission && stage.reflection, stage.interreflection) {
-                // Only a surface that both passes and reflects can split a ray in two.
-                (true, false) => halvings,
-                // Two rays wait while a third one with at most a third of the work goes on: less than log2, twice.
-                (_, true) if stage.transmission || stage.reflection => 2 * halvings,
-                _ => 0,
-            },
-            shadows: if has_shadows { batch * lamps } else { 0 },
-            forced: if stage.force_reflection || stage.force_transmission || stage.forces_a_sampled_effect() {
-                // At most one for each forced effect and sample.
-                7 * batch
-            } else {
-                0
-            },
-            walks: if is_sampled { batch } else { 0 },
-            borders: if stage.nested || stage.force_nested { batch } else { 0 },
-        }
-    }
 }
 
 impl<'s, Q: RayQuery> PathTracer<'s, Q> {
@@ -793,13 +753,6 @@ fn index_ratio(stage: &Stage, shader: &Shader, border: Option<&Border>, is_behin
         _ if shader.transmission > 0.0 && index != 1.0 => Some(if is_behind { index } else { 1.0 / index }),
         _ => None,
     }
-}
-
-/// Most samples that a tile can hold, saturated: larger batches never come about.
-fn tile_samples_max(stage: &Stage) -> u32 {
-    let settings = &stage.settings;
-    let pixels = settings.tile_size.min(settings.width) * settings.tile_size.min(settings.height);
-    pixels.saturating_mul(settings.samples_per_pixel)
 }
 
 /// What [`PathTracer::new`] allocates for `stage`, in bytes.

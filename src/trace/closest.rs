@@ -117,7 +117,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
                 None => match work.octree.reach(block)? {
                     Reached::Block(sub_boxes) => sub_boxes,
                     Reached::Cell(root) => {
-                        work.counters.box_tests -= 1;
+                        box_tests -= 1;
                         child = root;
                         continue;
                     }
