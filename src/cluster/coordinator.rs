@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
 
 use super::checkpoint::Record;
-use super::message::{Job, LeasedCells, MESSAGE_VERSION, Message, Role, short};
+use super::message::{Job, LeasedCells, MESSAGE_VERSION, Message, Role, UnsendableError, short};
 use super::picture::Picture;
 use super::{Action, RoleOptions};
 use crate::block::checksum;
@@ -99,7 +99,8 @@ struct Lane {
 /// with a wrong number of pixels, ends the connection. Results count once, whoever sends them, however late.
 pub struct Coordinator {
     job: Job,
-    digest: u64,
+    /// The message that gives it to workers.
+    job_frame: Vec<u8>,
     options: CoordinatorOptions,
     scheduler: AdaptiveScheduler,
     picture: Picture,
@@ -188,11 +189,11 @@ impl Coordinator {
         budget: &MemoryBudget,
     ) -> Result<Coordinator, CoordinatorError> {
         let picture = Picture::new(scheduler.grid().clone(), budget)?;
-        let digest = digest(&job);
+        let job_frame = Message::Job(Box::new(job.clone())).try_frame()?;
         let records = vec![Record::Start(scheduler.checkpoint())];
         Ok(Coordinator {
             job,
-            digest,
+            job_frame,
             options,
             scheduler,
             picture,
@@ -300,7 +301,7 @@ impl Coordinator {
 
     /// A number that only the same job has: a checkpoint is of one job.
     pub fn job_digest(&self) -> u64 {
-        self.digest
+        checksum(&self.job_frame)
     }
 
     /// The picture so far; pixels that are not there are black and not finished.
@@ -463,7 +464,7 @@ impl Coordinator {
         } else if is_worker {
             // The readers first: with the job the worker decides where its blocks come from.
             actions.push(Action::Send { to: peer, frame: self.readers().frame() });
-            actions.push(Action::Send { to: peer, frame: Message::Job(Box::new(self.job.clone())).frame() });
+            actions.push(Action::Send { to: peer, frame: self.job_frame.clone() });
         } else {
             self.tell_readers(actions);
         }
@@ -627,11 +628,6 @@ pub fn map_colour(index: usize) -> [f32; 3] {
     [r, g, b].map(|channel| (f32::from(channel) / 255.0).powi(2) * shade)
 }
 
-/// A number that only the same job has.
-fn digest(job: &Job) -> u64 {
-    checksum(&Message::Job(Box::new(job.clone())).frame())
-}
-
 /// A coordinator could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum CoordinatorError {
@@ -654,6 +650,11 @@ pub enum CoordinatorError {
         /// The cause.
         error: std::io::Error,
     },
+    /// The scene holds what does not travel.
+    #[error(
+        "the scene cannot be sent to workers: a picture as environment does not travel; render it on one machine, or surround the scene by a constant radiance"
+    )]
+    SceneStays(#[from] UnsendableError),
     /// The transport failed.
     #[error(transparent)]
     Transport(#[from] crate::error::TransportError),

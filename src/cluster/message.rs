@@ -178,16 +178,29 @@ const TEXT_BYTES_MAX: usize = 1024;
 #[error("a message is damaged: {0}")]
 pub struct MessageError(pub &'static str);
 
+/// A message holds what does not travel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("part of the message does not travel")]
+pub struct UnsendableError;
+
 impl Message {
-    /// The frame of a message that carries nothing.
+    /// The frame of a message that carries nothing. For a [`Message::Job`], which may hold what does not travel, use
+    /// [`Message::try_frame`]: here such a job gives a frame that no node accepts.
     pub fn frame(&self) -> Vec<u8> {
         self.frame_with(&[])
     }
 
-    /// The frame of a message that carries `tail`.
+    /// The frame of a message that carries nothing, whatever it holds.
+    ///
+    /// # Errors
+    /// [`UnsendableError`] if part of it does not travel: [`Environment::Image`](crate::scene::Environment::Image).
+    pub fn try_frame(&self) -> Result<Vec<u8>, UnsendableError> {
+        postcard::to_allocvec(self).map_err(|_| UnsendableError)
+    }
+
+    /// The frame of a message that carries `tail`; the same note holds as for [`Message::frame`].
     pub fn frame_with(&self, tail: &[u8]) -> Vec<u8> {
-        // Only a type that cannot be encoded at all fails, and these can, as every test that sends one shows.
-        let mut frame = postcard::to_allocvec(self).unwrap_or_default();
+        let mut frame = self.try_frame().unwrap_or_default();
         frame.extend_from_slice(tail);
         frame
     }

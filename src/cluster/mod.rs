@@ -31,6 +31,7 @@ pub use drive::{NodeError, WorkerOptions, WorkerReport, run_coordinator, run_rea
 pub use hosts::{HostRole, Hosts, HostsError};
 pub use message::{
     BLOCKS_MAX, Job, LeasedCells, MESSAGE_VERSION, Message, MessageError, RANGE_BYTES_MAX, Role,
+    UnsendableError,
 };
 pub use model_file::{ModelFile, model_key, readers_of};
 pub use reader::{Reader, ReaderCounters};

@@ -89,6 +89,16 @@ impl CoarseTree {
         }
     }
 
+    /// Asks for what a ray looks at first in a child.
+    #[inline(always)]
+    pub fn prefetch<S: Simd>(&self, simd: S, child: Child) {
+        if child.is_leaf() {
+            simd.prefetch(&self.sub_boxes, child.block_index() as usize);
+        } else {
+            simd.prefetch(&self.nodes, child.node_index());
+        }
+    }
+
     /// How many blocks have grown.
     pub fn grown_block_count(&self) -> u64 {
         self.grown.as_ref().map_or(0, GrownCells::block_count)

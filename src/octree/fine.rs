@@ -205,6 +205,18 @@ impl<'a> Fine<'a> {
         bytemuck::from_bytes(bytemuck::cast_slice(&self.words[start..start + size_of::<Node>() / 4]))
     }
 
+    /// Asks for a node, or for the beginning of a leaf.
+    #[inline(always)]
+    pub fn prefetch<S: Simd>(&self, simd: S, child: Child) {
+        let start = child.place() * (PLACE_BYTES / 4);
+        simd.prefetch(self.words, start);
+        simd.prefetch(self.words, start + 16);
+        simd.prefetch(self.words, start + 32);
+        simd.prefetch(self.words, start + 48);
+        simd.prefetch(self.words, start + 64);
+        simd.prefetch(self.words, start + 80);
+    }
+
     /// The bound on the magnitude of a leaf's edge components.
     #[inline(always)]
     pub fn edge(&self, leaf: Child) -> f32 {

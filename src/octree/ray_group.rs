@@ -193,7 +193,7 @@ fn before<S: Simd>(simd: S, t: S::F) -> S::F {
 mod tests {
     use super::super::frame::Frame;
     use super::*;
-    use crate::geom::Aabb;
+    use crate::geom::{Aabb, RayFrame};
     use crate::simd::{AnyOperation, SimdLevel, dispatch};
 
     /// The intervals of groups against those that single rays compute in f64.
@@ -232,7 +232,9 @@ mod tests {
                 for t_min in ends {
                     for t_max in ends {
                         let direction = [0.6 * length, -0.7 * length, length];
-                        let ray = Ray { t_min, t_max, ..Ray::new([0.5, 0.1, -0.3], direction) };
+                        // A coordinate so small that the exact ray rounds it to 0, and either zero.
+                        let origin = if plain % 2 == 0 { [0.5, 0.1, -0.3] } else { [1e-300, -0.0, 0.25] };
+                        let ray = Ray { t_min, t_max, ..Ray::new(origin, direction) };
                         let group = RayGroup::new(simd, &[ray], &space);
                         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
                         let invalid = group.prepare(simd, 0, &ray, &space, &mut query, &mut local);
@@ -242,6 +244,10 @@ mod tests {
                             continue;
                         }
                         plain += 1;
+                        // What the exact ray does without looking is what it does when it looks.
+                        let exact = [RayFrame::of_plain(&ray), RayFrame::new(&ray)];
+                        let [quick, careful] = exact.map(|frame| format!("{frame:?}"));
+                        assert_eq!(quick, careful);
                         // More than a rounding and less than the margin on either side of what f64 gives.
                         let (outer, high) = group.outer(simd, 0);
                         let low = simd.to_array(outer.low)[0];

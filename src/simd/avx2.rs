@@ -58,6 +58,11 @@ impl Simd for Avx2 {
         unsafe { _mm256_loadu_ps(x.as_ptr().add(offset)) }
     }
     #[inline(always)]
+    fn prefetch<T>(self, x: &[T], offset: usize) {
+        // SAFETY: as for `pure`; the instruction takes any address and faults for none.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(x.as_ptr().wrapping_add(offset).cast()) }
+    }
+    #[inline(always)]
     fn load_bytes(self, x: &[u8; LANES]) -> __m256 {
         let packed = i64::from_le_bytes(*x);
         pure!(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128(packed))))

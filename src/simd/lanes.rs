@@ -29,6 +29,9 @@ pub trait Simd: Copy {
     /// # Safety
     /// `x` has at least `offset + 8` numbers.
     unsafe fn load_unchecked(self, x: &[f32], offset: usize) -> Self::F;
+    /// Asks the memory for the cache line that holds `x[offset]`, if there is one. Only time depends on it.
+    #[inline(always)]
+    fn prefetch<T>(self, _x: &[T], _offset: usize) {}
     /// Lane `i` is the number that `x[i]` stands for; exact.
     fn load_bytes(self, x: &[u8; LANES]) -> Self::F;
     /// Eight numbers, each rounded to nearest.

@@ -165,7 +165,7 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
             let (near, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
             if hits != 0 {
                 // In order of distance: what blocks a ray is often near, and then fewer blocks are touched.
-                child = stack.push_sorted(simd, &node.children, near, hits);
+                child = stack.push_sorted(simd, &node.children, near, hits, |child| coarse.prefetch(simd, child));
                 continue;
             }
         }
@@ -222,10 +222,11 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
         }
         let (low, high) = fine.extents();
         any.local.set_reach(simd, any.query, low, high, fine.vertex_error());
+        let prefetch = |child| fine.prefetch(simd, child);
         let (groups, used) = fine.groups();
         let mut child = match hits & used {
             0 => return false,
-            hits => stack.push_unsorted(groups, hits),
+            hits => stack.push_unsorted(groups, hits, prefetch),
         };
         loop {
             while child.is_leaf() {
@@ -242,7 +243,7 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
             let (_, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
             child = match hits {
                 0 => stack.pop(Limit::NONE),
-                _ => stack.push_unsorted(&node.children, hits),
+                _ => stack.push_unsorted(&node.children, hits, prefetch),
             };
         }
     }

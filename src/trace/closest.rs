@@ -153,7 +153,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
             let node = coarse.node(child);
             let (near, hits) = local.boxes.test(simd, &node.bounds, interval.low, interval.high);
             if hits != 0 {
-                child = stack.push_sorted(simd, &node.children, near, hits);
+                child = stack.push_sorted(simd, &node.children, near, hits, |child| coarse.prefetch(simd, child));
                 continue;
             }
         }
@@ -194,10 +194,11 @@ impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
         let (low, high) = fine.extents();
         closest.local.set_reach(simd, closest.query, low, high, fine.vertex_error());
         let mut box_tests = 0;
+        let prefetch = |child| fine.prefetch(simd, child);
         let (groups, used) = fine.groups();
         let mut child = match hits & used {
             0 => return,
-            hits => stack.push_sorted(simd, groups, near, hits),
+            hits => stack.push_sorted(simd, groups, near, hits, prefetch),
         };
         loop {
             while child.is_leaf() {
@@ -214,7 +215,7 @@ impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
             let (near, hits) = boxes.test(simd, &node.bounds, closest.interval.low, closest.interval.high);
             child = match hits {
                 0 => stack.pop(closest.limit),
-                _ => stack.push_sorted(simd, &node.children, near, hits),
+                _ => stack.push_sorted(simd, &node.children, near, hits, prefetch),
             };
         }
     }

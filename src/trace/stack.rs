@@ -106,7 +106,8 @@ impl<'e> Stack<'e> {
         self.entries[1..self.len].iter().fold(least, |least, entry| least.min(entry.near()))
     }
 
-    /// Returns the nearest child of those in `hits` (one at least) and pushes the others, nearest last.
+    /// Returns the nearest child of those in `hits` (one at least) and pushes the others, nearest last. `prefetch` is told of
+    /// each that is pushed.
     #[inline(always)]
     pub fn push_sorted<S: Simd>(
         &mut self,
@@ -114,6 +115,7 @@ impl<'e> Stack<'e> {
         children: &[Child; LANES],
         near: S::F,
         hits: u32,
+        prefetch: impl Fn(Child),
     ) -> Child {
         let near = simd.to_array(near);
         let first = entry(children, &near, hits);
@@ -126,12 +128,14 @@ impl<'e> Stack<'e> {
         let mut nearest = first.min(second);
         let base = self.len;
         self.push(first.max(second));
+        prefetch(first.max(second).child());
         let mut hits = hits & (hits - 1);
         while hits != 0 {
             let new = entry(children, &near, hits);
             hits &= hits - 1;
             let next = nearest.max(new);
             nearest = nearest.min(new);
+            prefetch(next.child());
             // Insertion: what is nearer moves up.
             let mut place = self.len;
             self.push(next);
@@ -212,7 +216,7 @@ impl<'e> Stack<'e> {
 
     /// Returns one child of those in `hits` (one at least) and pushes the others, in no particular order.
     #[inline(always)]
-    pub fn push_unsorted(&mut self, children: &[Child; LANES], hits: u32) -> Child {
+    pub fn push_unsorted(&mut self, children: &[Child; LANES], hits: u32, prefetch: impl Fn(Child)) -> Child {
         let mut hits = hits;
         loop {
             let child = children[hits.trailing_zeros() as usize % LANES];
@@ -220,6 +224,7 @@ impl<'e> Stack<'e> {
             if hits == 0 {
                 return child;
             }
+            prefetch(child);
             self.push(Entry::new(0.0, child));
         }
     }

@@ -7,10 +7,11 @@ use std::thread;
 use std::time::Duration;
 
 use outcrop::cluster::{
-    Coordinator, CoordinatorCounters, NodeError, Reader, ReaderCounters, RemoteCounters, WorkerReport,
-    run_coordinator, run_reader, run_worker,
+    Coordinator, CoordinatorCounters, CoordinatorError, NodeError, Reader, ReaderCounters, RemoteCounters,
+    WorkerReport, run_coordinator, run_reader, run_worker,
 };
 use outcrop::compile::Control;
+use outcrop::scene::{Environment, EnvironmentImage};
 use outcrop::source::testing::{FaultRates, FaultySource};
 use outcrop::transport::{LocalNetwork, SharedKey, TcpOptions, TcpTransport, Transport};
 use outcrop::units::Bytes;
@@ -246,4 +247,15 @@ fn a_worker_with_another_model_is_turned_away() {
         assert!(matches!(result, Err(NodeError::NoWorkers { .. })));
         assert!(lines.iter().any(|line| line.contains("another model")), "{lines:?}");
     });
+}
+
+#[test]
+fn a_scene_that_cannot_travel_is_an_error_at_once() {
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let image = EnvironmentImage::new(4, 2, vec![[1.0; 3]; 8], &budget).unwrap();
+    let mut job = job();
+    job.scene = job.scene.with_environment(Environment::image(Arc::new(image)));
+    let error = Coordinator::new(job, coordinator_options(1, 0), &budget).map(drop).unwrap_err();
+    assert!(matches!(error, CoordinatorError::SceneStays(_)), "{error:?}");
+    assert!(error.to_string().contains("environment"), "{error}");
 }

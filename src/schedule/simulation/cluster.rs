@@ -5,7 +5,7 @@ use std::collections::{BinaryHeap, VecDeque};
 use std::time::Duration;
 
 use super::cost_image::CostImage;
-use super::machine::{ClusterModel, Machine, sequential};
+use super::machine::{CellTime, ClusterModel, Machine, sequential};
 use super::report::SimulationReport;
 use crate::error::ScheduleError;
 use crate::schedule::adaptive::AdaptiveScheduler;
@@ -90,8 +90,9 @@ struct Job {
 struct Worker {
     machine: Machine,
     jobs: VecDeque<Job>,
-    /// The cell of the first job that is being rendered.
+    /// The cell of the first job that is being rendered, and what it takes in all.
     cell: Option<u32>,
+    cell_time: CellTime,
     has_asked: bool,
     is_lost: bool,
     /// When its first cell began and its last one ended.
@@ -105,6 +106,7 @@ impl Worker {
             machine,
             jobs: VecDeque::new(),
             cell: None,
+            cell_time: CellTime::default(),
             has_asked: false,
             is_lost: false,
             first: None,
@@ -247,9 +249,23 @@ impl Cluster<'_> {
             }
         }
         if self.scheduler.is_finished() {
+            self.stop_clocks();
             return Ok(());
         }
         Err(ScheduleError::Option { what: "losses", reason: "no worker is left to end the render" })
+    }
+
+    /// Cells are booked whole when they begin; takes back what those under way at the end had still to do.
+    fn stop_clocks(&mut self) {
+        for worker in &mut self.workers {
+            let whole = worker.cell_time.render_seconds + worker.cell_time.load_seconds;
+            let rest = worker.last.saturating_sub(self.now) as f64 * 1e-9;
+            if worker.cell.is_some() && rest > 0.0 {
+                let part = (rest / whole).min(1.0);
+                self.rendered_seconds -= part * worker.cell_time.render_seconds;
+                self.load_seconds -= part * worker.cell_time.load_seconds;
+            }
+        }
     }
 
     /// Sum over the workers, in seconds.
@@ -510,6 +526,7 @@ impl Cluster<'_> {
             let time = state.machine.render(self.model, self.costs, tile, cell);
             job.work += self.costs.seconds(tile, cell);
             state.cell = Some(cell);
+            state.cell_time = time;
             self.rendered_seconds += time.render_seconds;
             self.load_seconds += time.load_seconds;
             self.loads += time.loads;
