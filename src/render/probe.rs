@@ -64,12 +64,10 @@ impl ProbedPixel {
         self.levels.iter().position(is_enough).unwrap_or(last)
     }
 
-    /// Whether [`ProbedPixel::stop`] is known, and a level behind it, which shows how good it was.
+    /// Whether [`ProbedPixel::stop`] is known.
     fn is_probed(&self, deviation: f64, samples_max: u32) -> bool {
-        let stop = self.stop(deviation, samples_max);
-        let level = &self.levels[stop];
-        (level.deviation <= deviation || level.samples >= samples_max)
-            && (stop + 1 < self.levels.len() || level.samples >= SAMPLES_LAST)
+        let level = &self.levels[self.stop(deviation, samples_max)];
+        level.deviation <= deviation || level.samples >= samples_max.min(SAMPLES_LAST)
     }
 
     fn samples(&self) -> u32 {
@@ -145,8 +143,8 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
         self.paths.query.counters()
     }
 
-    /// Doubles the samples of every pixel until its deviation is at most `deviation` or it has `samples_max`, and once more: what
-    /// adaptive sampling would not take shows how good its choice was. False if `stop` said so before the end.
+    /// Doubles the samples of every pixel until its deviation is at most `deviation` or it has `samples_max`. False if `stop` said so
+    /// before the end.
     pub fn refine(
         &mut self,
         deviation: f64,
@@ -183,14 +181,14 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
         let rays =
             self.trace(&places, 0, samples_min, |place, radiance, lost| blocks[place].add(radiance, lost))?;
         let size = [ground.width as usize, ground.height as usize];
-        let mean = |x: usize, y: usize| blocks[y * size[0] + x].mean();
+        let range = |x: usize, y: usize| blocks[y * size[0] + x].range();
         let mut pixels = Vec::with_capacity(area.width as usize * area.height as usize);
         for y in area.y - ground.y..area.y - ground.y + area.height {
             for x in area.x - ground.x..area.x - ground.x + area.width {
                 let at = [x as usize, y as usize];
                 let mut pixel = ProbedPixel {
                     blocks: blocks[at[1] * size[0] + at[0]],
-                    contrast: contrast(size, at, mean),
+                    contrast: contrast(size, at, range),
                     levels: Vec::new(),
                 };
                 pixel.record();
