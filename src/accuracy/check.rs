@@ -69,35 +69,63 @@ fn weight(samples: u32, deviation: f64) -> f64 {
     deviation / f64::from(samples.max(1)).sqrt()
 }
 
-/// The pixels that are drawn, and the chance that each had. A pure function of film and seed.
-pub(super) fn draw(film: &Film, statistics: &[PixelStatistics], seed: u64) -> (Vec<SampledPixel>, Vec<f64>) {
+/// What is to be known of a pixel that was drawn to make an error of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Drawn {
+    /// The chance that it had.
+    chance: f64,
+    /// The part of the square difference between its mean and that of the further samples that is its own error's.
+    own: f64,
+}
+
+impl Drawn {
+    /// A pixel with a largest half difference.
+    ///
+    /// The expected square difference is the sum of both square errors. They are equal on average where the pixel's samples differ as
+    /// such samples do. Where they hardly differ it may be wrong without a sign of it, and then its own error is the greater one: if
+    /// all of `n` samples lie on one side, the share `p` of the other is distributed as Beta(1, n + 1) by Laplace's rule, the square error of
+    /// the pixel is `E[p^2]` and that of the further samples `E[p (1 - p)] / n`, half as much for many samples.
+    pub fn new(chance: f64, half_difference: f64, deviation: f64) -> Drawn {
+        let agrees = half_difference < 0.25 * deviation;
+        Drawn { chance, own: if agrees { 2.0 / 3.0 } else { 0.5 } }
+    }
+}
+
+/// The pixels that are drawn. A pure function of film and seed.
+pub(super) fn draw(
+    film: &Film,
+    statistics: &[PixelStatistics],
+    seed: u64,
+) -> (Vec<SampledPixel>, Vec<Drawn>) {
     let known = || statistics.iter().map(|pixel| (pixel.samples, f64::from(pixel.deviation)));
     let plan = Plan::new(known(), statistics.len() as u64);
     let width = u64::from(film.width());
     (0u64..)
-        .zip(known())
-        .filter_map(|(index, (samples, deviation))| {
+        .zip(statistics)
+        .filter_map(|(index, known)| {
+            let (samples, deviation) = (known.samples, f64::from(known.deviation));
             let chance = plan.chance(samples, deviation);
             // 53 bits of luck, apart from that of sample positions.
             let luck = (mix(seed ^ mix(index ^ 0x636f_6e74_726f_6c73)) >> 11) as f64 / (1u64 << 53) as f64;
+            let half = known.half_difference.iter().fold(0.0f32, |most, x| most.max(x.abs()));
             // Both are below 2^32.
             let (x, y) = ((index % width) as u32, (index / width) as u32);
-            (luck < chance).then_some((SampledPixel { x, y, samples }, chance))
+            let drawn = Drawn::new(chance, f64::from(half), deviation);
+            (luck < chance).then_some((SampledPixel { x, y, samples }, drawn))
         })
         .unzip()
 }
 
-/// The mean square error of a picture of `pixels_total` pixels, from what the pixels drawn have and what they got again.
+/// The mean square error of a picture of `pixels_total` pixels, from the means that the pixels drawn have and those of the further samples.
 pub(super) fn mean_square(
-    pairs: impl Iterator<Item = ([f32; 3], [f64; 3], f64)>,
+    pairs: impl Iterator<Item = ([f32; 3], [f64; 3], Drawn)>,
     pixels_total: u64,
     confidence: f64,
 ) -> MeanSquare {
     let squares: Vec<f64> = pairs
-        .map(|(mean, again, chance)| {
-            // The expected square of the difference is the sum of both square errors, so half of it is a fair estimate of one.
+        .map(|(mean, again, Drawn { chance, own })| {
             let square = |channel: usize| (f64::from(mean[channel]) - again[channel]).powi(2);
-            0.5 * (0..3).map(square).sum::<f64>() / 3.0 / chance
+            own * (0..3).map(square).sum::<f64>() / 3.0 / chance
         })
         .collect();
     MeanSquare::of_draws(&squares, pixels_total, confidence)
@@ -106,11 +134,12 @@ pub(super) fn mean_square(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::accuracy::estimate::Sampled;
 
     #[test]
     fn a_check_takes_its_share_and_looks_where_errors_are() {
         let share = share(1 << 14);
-        assert!(share > 0.05 && share < 0.07 && super::share(4) == 1.0);
+        assert!(share > 0.05 && share < 0.07 && super::share(3) == 1.0);
         // Half of the pixels are even, and the others need more samples.
         let pixels = (0..1u32 << 14).map(|pixel| {
             if pixel % 2 == 0 { (4, 0.0) } else { (4 << (pixel % 7), 0.01 + 1e-6 * f64::from(pixel)) }
@@ -162,7 +191,7 @@ mod tests {
                 let count = samples.len();
                 let half = samples[..count / 2].iter().sum::<f64>() / (count / 2) as f64 - mean;
                 let again = (0..count).map(|_| f64::from(luck() < share)).sum::<f64>() / count as f64;
-                sampled.push(super::super::estimate::Sampled {
+                sampled.push(Sampled {
                     mean: [mean as f32; 3],
                     half_difference: [half as f32; 3],
                     deviation,
@@ -174,9 +203,12 @@ mod tests {
             let plan = Plan::new(known.iter().map(|(count, deviation, ..)| (*count, *deviation)), PIXELS);
             let pairs: Vec<_> = known
                 .iter()
-                .filter_map(|&(count, deviation, mean, again)| {
+                .zip(&sampled)
+                .filter_map(|(&(count, deviation, mean, again), sampled)| {
                     let chance = plan.chance(count, deviation);
-                    (luck() < chance).then_some(([mean as f32; 3], [again; 3], chance))
+                    let half = f64::from(sampled.half_difference[0].abs());
+                    let drawn = Drawn::new(chance, half, deviation);
+                    (luck() < chance).then_some(([mean as f32; 3], [again; 3], drawn))
                 })
                 .collect();
             let truth = truths.iter().sum::<f64>() / PIXELS as f64;

@@ -582,27 +582,27 @@ impl Job<'_, '_> {
             return Ok(Known::Squares(halves, None));
         }
         let settings = knobs.settings(&self.settings);
-        let (drawn, chances) =
+        let (places, drawn) =
             check::draw(&image.film, image.film.statistics().unwrap_or_default(), settings.seed);
         let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
         let (attempt, told) = (self.counters.attempts, &mut *self.progress);
         let progress = whole(image);
         let mut stop = || told(GoalProgress { attempt, progress });
-        let Some(again) = renderer.resample(&drawn, self.threads, &mut stop)? else {
+        let Some(again) = renderer.resample(&places, self.threads, &mut stop)? else {
             return Ok(Known::Cancelled);
         };
         self.counters.effects.merge(&again.effects);
         self.counters.trace.merge(&again.trace);
-        let pairs = drawn
+        let pairs = places
             .iter()
             .zip(&again.means)
-            .zip(chances)
-            .map(|((pixel, mean), chance)| (image.film.pixel(pixel.x, pixel.y), mean.to_array(), chance));
+            .zip(drawn)
+            .map(|((pixel, mean), drawn)| (image.film.pixel(pixel.x, pixel.y), mean.to_array(), drawn));
         let squares = check::mean_square(pairs, self.pixels_total(), confidence);
         let is_same = squares.value == halves.value;
         let bias = if is_same { 1.0 } else { (squares.value / halves.value).sqrt() };
-        let samples = drawn.iter().map(|pixel| u64::from(pixel.samples)).sum();
-        Ok(Known::Squares(squares, Some(SamplingCheck { pixels: drawn.len() as u32, samples, bias })))
+        let samples = places.iter().map(|pixel| u64::from(pixel.samples)).sum();
+        Ok(Known::Squares(squares, Some(SamplingCheck { pixels: places.len() as u32, samples, bias })))
     }
 }
 
