@@ -231,6 +231,14 @@ pub(super) fn cut_off(metric: Metric, lost: impl ExactSizeIterator<Item = f64>) 
     }
 }
 
+/// What FLIP makes of all that may have been cut off: not a proof, as its filters do not know where light is missing.
+pub(super) fn flip_cut_off(pixels: &[Sampled], width: u32) -> f64 {
+    let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
+    let [picture, whole] =
+        [means, noisy(pixels, 0.0, Signs::Kept)].map(|pixels| Seen::of(&pixels, width as usize));
+    mean(&error_map_bound(&whole, &picture))
+}
+
 /// Sums over squares of [`BLOCK_SIDE`] pixels, those at the border included.
 fn block_sums(map: &[f64], width: usize) -> Vec<f64> {
     let columns = width.div_ceil(BLOCK_SIDE);
@@ -357,5 +365,14 @@ mod tests {
         assert_eq!(cut_off(Metric::Rmse, lost.into_iter()), Some(0.25));
         assert_eq!(cut_off(Metric::Max, lost.into_iter()), Some(0.4));
         assert_eq!(cut_off(Metric::Flip, lost.into_iter()), None);
+        let pixels = |lost: f64| {
+            let pixel = Sampled { mean: [0.5; 3], half_difference: [0.1, -0.1, 0.0], deviation: 0.1, lost };
+            vec![pixel; 64]
+        };
+        let whole = [[0.51f32; 3]; 64];
+        let error = Metric::Flip.distance(&whole, &[[0.5; 3]; 64], 8);
+        let found = flip_cut_off(&pixels(0.01), 8);
+        assert!((found / error - 1.0).abs() < 1e-4, "{found}, not {error}");
+        assert!(flip_cut_off(&pixels(0.0), 8) < 1e-9);
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
 
-use super::estimate::{Estimate, MeanSquare, Sampled, cut_off, estimate};
+use super::estimate::{Estimate, MeanSquare, Sampled, cut_off, estimate, flip_cut_off};
 use super::{Metric, check};
 use crate::render::probe::{Level, ProbedCell, ProbedPixel};
 
@@ -25,22 +25,28 @@ impl Prediction<'_> {
 
     /// The estimate to be expected at a threshold not below that to which the probe was refined.
     pub fn estimate(&self, metric: Metric, deviation: f64) -> Estimate {
-        let levels: Vec<&Level> = self.rows().map(|pixel| self.stop(pixel, deviation)).collect();
-        let plan =
-            check::Plan::new(levels.iter().map(|level| (level.samples, level.deviation)), self.pixels_total);
-        let chances: Vec<f64> =
-            levels.iter().map(|level| plan.chance(level.samples, level.deviation)).collect();
-        let pixels: Vec<Sampled> = levels
-            .into_iter()
-            .map(|&Level { mean, half_difference, deviation, lost, .. }| Sampled {
-                mean,
-                half_difference,
-                deviation,
-                lost,
-            })
-            .collect();
+        let levels = || self.rows().map(|pixel| self.stop(pixel, deviation));
+        let known = || levels().map(|level| (level.samples, level.deviation));
+        let plan = check::Plan::new(known(), self.pixels_total);
+        let chances: Vec<f64> = known().map(|(samples, deviation)| plan.chance(samples, deviation)).collect();
+        let pixels = self.sampled(deviation);
         let squares = MeanSquare::expected(&pixels, &chances, self.pixels_total, self.confidence);
         estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
+    }
+
+    /// What FLIP makes of what is cut off at a threshold.
+    pub fn flip_cut_off(&self, deviation: f64) -> f64 {
+        flip_cut_off(&self.sampled(deviation), self.width() as u32)
+    }
+
+    /// All pixels as they are at a threshold.
+    fn sampled(&self, deviation: f64) -> Vec<Sampled> {
+        self.rows()
+            .map(|pixel| {
+                let Level { mean, half_difference, deviation, lost, .. } = *self.stop(pixel, deviation);
+                Sampled { mean, half_difference, deviation, lost }
+            })
+            .collect()
     }
 
     /// What is cut off at a threshold; for FLIP nothing, as its estimate holds it.

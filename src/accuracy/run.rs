@@ -296,14 +296,16 @@ impl Job<'_, '_> {
             let mut probe = self.probe(&renderer)?;
             let first = self.prediction(&probe);
             let cut = match metric {
-                // Not a proof, but a measure of how much it matters.
-                Metric::Flip => first.cut_off(Metric::Rmse, f64::INFINITY),
+                Metric::Flip => first.flip_cut_off(f64::INFINITY),
                 _ => first.cut_off(metric, f64::INFINITY),
             };
             // What work budgets cut does not shrink.
             if cut > CUT_OFF_SHARE * bound && cut < 0.9 * cut_before {
                 self.count(&probe);
-                contribution_bound *= (CUT_OFF_SHARE * bound / cut).clamp(1.0 / 64.0, 0.5);
+                // FLIP grows with differences to the power of 0.7.
+                let power = if metric == Metric::Flip { 1.0 / 0.7 } else { 1.0 };
+                let step = libm::pow(CUT_OFF_SHARE * bound / cut, power);
+                contribution_bound *= step.clamp(1.0 / 64.0, 0.5);
                 cut_before = cut;
                 continue;
             }
