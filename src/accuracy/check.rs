@@ -6,10 +6,10 @@
 //! the deviation that a pixel is thought to have, so a few hundred pixels tell; a part of them does not depend on it, so a
 //! deviation that is wrong is found out.
 
-use super::estimate::MeanSquare;
+use super::estimate::{MeanSquare, Sampled};
+use crate::render::PixelStatistics;
 use crate::render::mix;
 use crate::render::resample::SampledPixel;
-use crate::render::{Film, PixelStatistics};
 
 /// Part of the samples of a check that is spread evenly.
 const EVEN_SHARE: f64 = 0.2;
@@ -69,72 +69,71 @@ fn weight(samples: u32, deviation: f64) -> f64 {
     deviation / f64::from(samples.max(1)).sqrt()
 }
 
-/// What is to be known of a pixel that was drawn to make an error of it.
+/// The part of the square difference between a pixel's mean and that of as many further samples that is its own square error.
+///
+/// The expected square difference is the sum of both square errors. They are equal on average where the pixel's samples differ as
+/// such samples do. Where they hardly differ it may be wrong without a sign of it, and then its own error is the greater one: if
+/// all of `n` samples lie on one side, the share `p` of the other is distributed as Beta(1, n + 1) by Laplace's rule, the square error of
+/// the pixel is `E[p^2]` and that of the further samples `E[p (1 - p)] / n`, half as much for many samples.
+pub(super) fn own_part(pixel: &Sampled) -> f64 {
+    let most = pixel.half_difference.iter().fold(0.0f32, |most, x| most.max(x.abs()));
+    if f64::from(most) < 0.25 * pixel.deviation { 2.0 / 3.0 } else { 0.5 }
+}
+
+/// A pixel that was drawn.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Drawn {
+    /// Its index.
+    pub index: usize,
     /// The chance that it had.
-    chance: f64,
-    /// The part of the square difference between its mean and that of the further samples that is its own error's.
-    own: f64,
+    pub chance: f64,
 }
 
-impl Drawn {
-    /// A pixel with a largest half difference.
-    ///
-    /// The expected square difference is the sum of both square errors. They are equal on average where the pixel's samples differ as
-    /// such samples do. Where they hardly differ it may be wrong without a sign of it, and then its own error is the greater one: if
-    /// all of `n` samples lie on one side, the share `p` of the other is distributed as Beta(1, n + 1) by Laplace's rule, the square error of
-    /// the pixel is `E[p^2]` and that of the further samples `E[p (1 - p)] / n`, half as much for many samples.
-    pub fn new(chance: f64, half_difference: f64, deviation: f64) -> Drawn {
-        let agrees = half_difference < 0.25 * deviation;
-        Drawn { chance, own: if agrees { 2.0 / 3.0 } else { 0.5 } }
-    }
-}
-
-/// The pixels that are drawn. A pure function of film and seed.
+/// The pixels that are drawn of those of a film, and where they are. A pure function of film and seed.
 pub(super) fn draw(
-    film: &Film,
+    pixels: &[Sampled],
     statistics: &[PixelStatistics],
+    width: u32,
     seed: u64,
-) -> (Vec<SampledPixel>, Vec<Drawn>) {
-    let known = || statistics.iter().map(|pixel| (pixel.samples, f64::from(pixel.deviation)));
-    let plan = Plan::new(known(), statistics.len() as u64);
-    let width = u64::from(film.width());
-    (0u64..)
-        .zip(statistics)
-        .filter_map(|(index, known)| {
-            let (samples, deviation) = (known.samples, f64::from(known.deviation));
+) -> (Vec<Drawn>, Vec<SampledPixel>) {
+    let known = || statistics.iter().zip(pixels).map(|(known, pixel)| (known.samples, pixel.deviation));
+    let plan = Plan::new(known(), pixels.len() as u64);
+    known()
+        .enumerate()
+        .filter_map(|(index, (samples, deviation))| {
             let chance = plan.chance(samples, deviation);
             // 53 bits of luck, apart from that of sample positions.
-            let luck = (mix(seed ^ mix(index ^ 0x636f_6e74_726f_6c73)) >> 11) as f64 / (1u64 << 53) as f64;
-            let half = known.half_difference.iter().fold(0.0f32, |most, x| most.max(x.abs()));
-            // Both are below 2^32.
-            let (x, y) = ((index % width) as u32, (index / width) as u32);
-            let drawn = Drawn::new(chance, f64::from(half), deviation);
-            (luck < chance).then_some((SampledPixel { x, y, samples }, drawn))
+            let key = mix(seed ^ mix(index as u64 ^ 0x636f_6e74_726f_6c73));
+            let luck = (key >> 11) as f64 / (1u64 << 53) as f64;
+            // Films have fewer than 2^32 pixels.
+            let (x, y) = (index as u32 % width, index as u32 / width);
+            (luck < chance).then_some((Drawn { index, chance }, SampledPixel { x, y, samples }))
         })
         .unzip()
 }
 
-/// The mean square error of a picture of `pixels_total` pixels, from the means that the pixels drawn have and those of the further samples.
+/// The mean square error of `pixels`, a whole picture, from the means of further samples of those that were drawn.
 pub(super) fn mean_square(
-    pairs: impl Iterator<Item = ([f32; 3], [f64; 3], Drawn)>,
-    pixels_total: u64,
+    pixels: &[Sampled],
+    drawn: &[Drawn],
+    again: impl Iterator<Item = [f64; 3]>,
     confidence: f64,
 ) -> MeanSquare {
-    let squares: Vec<f64> = pairs
-        .map(|(mean, again, Drawn { chance, own })| {
-            let square = |channel: usize| (f64::from(mean[channel]) - again[channel]).powi(2);
-            own * (0..3).map(square).sum::<f64>() / 3.0 / chance
+    let squares: Vec<f64> = drawn
+        .iter()
+        .zip(again)
+        .map(|(Drawn { index, chance }, again)| {
+            let pixel = &pixels[*index];
+            let square = |channel: usize| (f64::from(pixel.mean[channel]) - again[channel]).powi(2);
+            own_part(pixel) * (0..3).map(square).sum::<f64>() / 3.0 / chance
         })
         .collect();
-    MeanSquare::of_draws(&squares, pixels_total, confidence)
+    MeanSquare::of_draws(&squares, pixels.len() as u64, confidence)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::estimate::Sampled;
 
     #[test]
     fn a_check_takes_its_share_and_looks_where_errors_are() {
@@ -197,22 +196,20 @@ mod tests {
                     deviation,
                     lost: 0.0,
                 });
-                known.push((count as u32, deviation, mean, again));
+                known.push((count as u32, deviation, again));
                 truths.push((mean - share).powi(2));
             }
             let plan = Plan::new(known.iter().map(|(count, deviation, ..)| (*count, *deviation)), PIXELS);
-            let pairs: Vec<_> = known
-                .iter()
-                .zip(&sampled)
-                .filter_map(|(&(count, deviation, mean, again), sampled)| {
-                    let chance = plan.chance(count, deviation);
-                    let half = f64::from(sampled.half_difference[0].abs());
-                    let drawn = Drawn::new(chance, half, deviation);
-                    (luck() < chance).then_some(([mean as f32; 3], [again; 3], drawn))
-                })
-                .collect();
+            let (mut drawn, mut further) = (Vec::new(), Vec::new());
+            for (index, &(count, deviation, again)) in known.iter().enumerate() {
+                let chance = plan.chance(count, deviation);
+                if luck() < chance {
+                    drawn.push(Drawn { index, chance });
+                    further.push([again; 3]);
+                }
+            }
             let truth = truths.iter().sum::<f64>() / PIXELS as f64;
-            let found = mean_square(pairs.into_iter(), PIXELS, 0.9);
+            let found = mean_square(&sampled, &drawn, further.into_iter(), 0.9);
             held += u32::from(truth <= found.upper);
             held_by_halves += u32::from(truth <= MeanSquare::of_halves(&sampled, 0.9).upper);
             above += (found.upper / truth).sqrt() / f64::from(RUNS);

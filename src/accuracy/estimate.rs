@@ -36,8 +36,13 @@ pub(super) struct Sampled {
 impl Sampled {
     /// Square of the half difference, over the channels.
     pub fn square(&self) -> f64 {
-        self.half_difference.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / 3.0
+        mean_square(&self.half_difference)
     }
+}
+
+/// Mean of the squares of three channels.
+pub(super) fn mean_square(channels: &[f32; 3]) -> f64 {
+    channels.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / 3.0
 }
 
 /// The square of the error of finitely many samples, mean over all channels of all pixels.
@@ -84,13 +89,13 @@ impl MeanSquare {
         MeanSquare { value: sum / count, upper: upper / count }
     }
 
-    /// From pixels that were probed, what is to be expected of the whole picture: the probe's own error, two deviations of it, as a
-    /// picture that misses is made again, and the margin that there will be. `chances` are those of a check.
-    pub fn expected(pixels: &[Sampled], chances: &[f64], pixels_total: u64, confidence: f64) -> MeanSquare {
-        let count = pixels.len().max(1) as f64;
+    /// From square errors of pixels that were probed, and the chances that they would have in a check: what is to be expected of the
+    /// check of a picture of `pixels_total` pixels. Its margin, and two deviations of the probe's own error, as a picture that misses is
+    /// made again.
+    pub fn expected(probed: &[(f64, f64)], pixels_total: u64, confidence: f64) -> MeanSquare {
+        let count = probed.len().max(1) as f64;
         let (mut sum, mut squares, mut drawn, mut cubes) = (0.0, 0.0, 0.0, 0.0);
-        for (pixel, chance) in pixels.iter().zip(chances) {
-            let square = pixel.square();
+        for (square, chance) in probed {
             sum += square;
             squares += square * square;
             drawn += square * square / chance;

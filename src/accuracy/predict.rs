@@ -2,7 +2,7 @@
 //!
 //! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
 
-use super::estimate::{Estimate, MeanSquare, Sampled, cut_off, estimate, flip_cut_off};
+use super::estimate::{Estimate, MeanSquare, Sampled, cut_off, estimate, flip_cut_off, mean_square};
 use super::{Metric, check};
 use crate::render::probe::{Level, ProbedCell, ProbedPixel};
 
@@ -25,12 +25,20 @@ impl Prediction<'_> {
 
     /// The estimate to be expected at a threshold not below that to which the probe was refined.
     pub fn estimate(&self, metric: Metric, deviation: f64) -> Estimate {
-        let levels = || self.rows().map(|pixel| self.stop(pixel, deviation));
-        let known = || levels().map(|level| (level.samples, level.deviation));
-        let plan = check::Plan::new(known(), self.pixels_total);
-        let chances: Vec<f64> = known().map(|(samples, deviation)| plan.chance(samples, deviation)).collect();
         let pixels = self.sampled(deviation);
-        let squares = MeanSquare::expected(&pixels, &chances, self.pixels_total, self.confidence);
+        let samples = || self.rows().map(|pixel| self.stop(pixel, deviation).samples);
+        let known = || samples().zip(pixels.iter().map(|pixel| pixel.deviation));
+        let plan = check::Plan::new(known(), self.pixels_total);
+        let chances = known().map(|(samples, deviation)| plan.chance(samples, deviation));
+        let squares = self.rows().zip(&pixels).map(|(pixel, sampled)| {
+            let next = pixel.levels.get(pixel.stop(deviation, self.samples_max) + 1);
+            // The half difference of twice the samples is half of the difference that a check would see.
+            next.map_or(sampled.square(), |next| {
+                check::own_part(sampled) * 4.0 * mean_square(&next.half_difference)
+            })
+        });
+        let probed: Vec<(f64, f64)> = squares.zip(chances).collect();
+        let squares = MeanSquare::expected(&probed, self.pixels_total, self.confidence);
         estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
     }
 

@@ -584,8 +584,8 @@ impl Job<'_, '_> {
             return Ok(Known::Squares(halves, None));
         }
         let settings = knobs.settings(&self.settings);
-        let (places, drawn) =
-            check::draw(&image.film, image.film.statistics().unwrap_or_default(), settings.seed);
+        let statistics = image.film.statistics().unwrap_or_default();
+        let (drawn, places) = check::draw(pixels, statistics, image.film.width(), settings.seed);
         let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
         let (attempt, told) = (self.counters.attempts, &mut *self.progress);
         let progress = whole(image);
@@ -595,12 +595,8 @@ impl Job<'_, '_> {
         };
         self.counters.effects.merge(&again.effects);
         self.counters.trace.merge(&again.trace);
-        let pairs = places
-            .iter()
-            .zip(&again.means)
-            .zip(drawn)
-            .map(|((pixel, mean), drawn)| (image.film.pixel(pixel.x, pixel.y), mean.to_array(), drawn));
-        let squares = check::mean_square(pairs, self.pixels_total(), confidence);
+        let further = again.means.iter().map(|mean| mean.to_array());
+        let squares = check::mean_square(pixels, &drawn, further, confidence);
         let is_same = squares.value == halves.value;
         let bias = if is_same { 1.0 } else { (squares.value / halves.value).sqrt() };
         let samples = places.iter().map(|pixel| u64::from(pixel.samples)).sum();

@@ -64,10 +64,12 @@ impl ProbedPixel {
         self.levels.iter().position(is_enough).unwrap_or(last)
     }
 
-    /// Whether [`ProbedPixel::stop`] is known.
+    /// Whether [`ProbedPixel::stop`] is known, and a level behind it, which shows how good it was.
     fn is_probed(&self, deviation: f64, samples_max: u32) -> bool {
-        let level = &self.levels[self.stop(deviation, samples_max)];
-        level.deviation <= deviation || level.samples >= samples_max.min(SAMPLES_LAST)
+        let stop = self.stop(deviation, samples_max);
+        let level = &self.levels[stop];
+        (level.deviation <= deviation || level.samples >= samples_max)
+            && (stop + 1 < self.levels.len() || level.samples >= SAMPLES_LAST)
     }
 
     fn samples(&self) -> u32 {
@@ -143,8 +145,8 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
         self.paths.query.counters()
     }
 
-    /// Doubles the samples of every pixel until its deviation is at most `deviation` or it has `samples_max`. False if `stop` said so
-    /// before the end.
+    /// Doubles the samples of every pixel until its deviation is at most `deviation` or it has `samples_max`, and once more: what
+    /// adaptive sampling would not take shows how good its choice was. False if `stop` said so before the end.
     pub fn refine(
         &mut self,
         deviation: f64,
