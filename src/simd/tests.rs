@@ -79,11 +79,9 @@ impl AnyOperation for Triangles {
             }
             let (edge, reach) = (edge * 1.000_001, reach * 1.000_001);
             let sum = direction.iter().map(|x| x.abs()).sum::<f32>() * 1.000_001;
-            let ray = TriangleRay {
-                origin: simd.splat3(origin),
-                direction: simd.splat3(direction),
-                bounds: ErrorBounds::new(simd, sum, reach, 0.0, 0.0),
-            };
+            let ray = TriangleRay { origin, direction };
+            let bounds = ErrorBounds::new(simd, sum, reach, 0.0, 0.0);
+            let bounds = (&bounds, edge);
             let packet = PacketRows::new(&rows, LANES).packet(simd, 0);
             let t_max = if round % 2 == 0 { f32::INFINITY } else { 2.0 * self.scale };
             let outer = Interval { low: simd.splat(0.0), high: simd.splat(t_max * 1.001) };
@@ -91,8 +89,8 @@ impl AnyOperation for Triangles {
                 low: simd.splat(1e-30),
                 high: simd.splat(if t_max == f32::INFINITY { f32::MAX } else { t_max * 0.999 }),
             };
-            let (survivors, certain) = ray.survivors_and_certain(simd, &packet, edge, &outer, &inner);
-            assert_eq!(survivors, ray.survivors(simd, &packet, edge, &outer));
+            let (survivors, certain) = ray.survivors_and_certain(simd, &packet, bounds, &outer, &inner);
+            assert_eq!(survivors, ray.survivors(simd, &packet, bounds, &outer));
             assert_eq!(certain & !survivors, 0);
             let exact = Ray { t_max: f64::from(t_max), ..Ray::new(wide(origin), wide(direction)) };
             for (lane, triangle) in triangles.iter().enumerate() {
@@ -160,9 +158,10 @@ impl AnyOperation for BoxesOp {
                 }
             }
             let lanes = |x: [f32; 3]| simd.load(&[x[0], x[1], x[2], 1.0, 1.0, 1.0, 1.0, 1.0]);
-            let mut ray = BoxRay::unset(simd);
-            ray.set_direction(simd, lanes(direction), &ParallelAxes::new(wide(direction), 0.0, &parallel));
-            ray.set_origin(simd, &simd.splat3(origin));
+            let mut ray = BoxRay::UNSET;
+            let axes = ParallelAxes::new(wide(direction), 0.0, &parallel);
+            ray.set_direction(simd, lanes(direction), &axes);
+            ray.set_origin(simd, origin, axes.widen());
             let (near, hits) = ray.test(simd, &boxes, simd.splat(0.0), simd.splat(100.0));
             let near = simd.to_array(near);
             for lane in 0..LANES {
@@ -221,7 +220,7 @@ impl AnyOperation for GroupsOp {
             let [ox, oy, oz, dx, dy, dz, tenth, most] = simd.transpose(&rows);
             assert_eq!(simd.to_array(tenth), [0.1f64 as f32; LANES]);
             assert_eq!(simd.to_array(most), [f32::INFINITY; LANES]);
-            let group = BoxRays::new(simd, &[dx, dy, dz], &[ox, oy, oz]);
+            let group = RayRows::new(simd, &[dx, dy, dz], &[ox, oy, oz]);
             let mut boxes: Boxes = [[0.0; LANES]; 6];
             for axis in 0..3 {
                 for lane in 0..LANES {
@@ -231,13 +230,13 @@ impl AnyOperation for GroupsOp {
             }
             for (lane, (origin, direction)) in rays.iter().enumerate() {
                 let [x, y, z] = *direction;
-                let mut alone = BoxRay::unset(simd);
+                let mut alone = BoxRay::UNSET;
                 let lanes = simd.load(&[x, y, z, 1.0, 1.0, 1.0, 1.0, 1.0]);
                 assert!(BoxRay::is_oblique(simd, lanes, &parallel));
                 alone.set_direction(simd, lanes, &ParallelAxes::NONE);
-                alone.set_origin(simd, &simd.splat3(*origin));
-                let mut grouped = BoxRay::unset(simd);
-                group.get(simd, lane, &mut grouped);
+                alone.set_origin(simd, *origin, BoxRay::WIDEN_LEAST);
+                let TestRay { boxes: grouped, triangles } = *group.get(lane);
+                assert_eq!((triangles.origin, triangles.direction), (*origin, *direction));
                 let [one, other] = [alone, grouped].map(|ray| {
                     let (near, hits) = ray.test(simd, &boxes, simd.splat(0.0), simd.splat(9.0));
                     (simd.to_array(near).map(f32::to_bits), hits)
