@@ -81,6 +81,31 @@ fn rays(random: &mut Random, triangles: &Triangles, count: usize) -> Vec<Ray> {
         .collect()
 }
 
+/// Eight rays around each of `rays`, which go much the same way, as a camera's do or a lamp's: from one point or side by side, of
+/// different lengths.
+fn bundles(random: &mut Random, rays: &[Ray]) -> Vec<Ray> {
+    let mut bundles = Vec::new();
+    for (i, ray) in rays.iter().enumerate() {
+        let size = ray.direction.iter().fold(0.0f64, |size, x| size.max(x.abs()));
+        for lane in 0..8 {
+            let mut near = *ray;
+            // The first of some is the ray itself, which may be along an axis.
+            if lane > 0 || i % 3 > 0 {
+                let (v, w) = (random.vector(), random.vector());
+                near.direction = [0, 1, 2].map(|axis| ray.direction[axis] + 0.04 * size * v[axis]);
+                if i % 2 == 0 {
+                    near.origin = [0, 1, 2].map(|axis| ray.origin[axis] + 0.004 * size * w[axis]);
+                }
+            }
+            if (i + lane) % 4 == 0 {
+                (near.t_min, near.t_max) = (0.1 + 0.1 * random.signed(), 1.0 + 0.3 * random.signed());
+            }
+            bundles.push(near);
+        }
+    }
+    bundles
+}
+
 /// Compares every query with brute force.
 fn check(tracer: &mut Tracer<'_>, triangles: &Triangles, rays: &[Ray]) {
     let mut hits = vec![None; rays.len()];
@@ -128,6 +153,7 @@ fn check(tracer: &mut Tracer<'_>, triangles: &Triangles, rays: &[Ray]) {
 
 /// All combinations that may not change a hit.
 fn check_everywhere(triangles: &Triangles, precision: Precision, rays: &[Ray]) {
+    let bundles = bundles(&mut Random(rays.len() as u64), &rays[..rays.len() / 8]);
     for (partition, block_triangles) in [1300, 40, 7, 1].into_iter().enumerate() {
         if block_triangles == 1 && triangles.len() > 200 {
             continue;
@@ -154,6 +180,7 @@ fn check_everywhere(triangles: &Triangles, precision: Precision, rays: &[Ray]) {
             // The slow combinations see fewer rays.
             let share = if slots_max.is_some() || simd == SimdLevel::Portable { 4 } else { 1 };
             check(&mut tracer, triangles, &rays[..rays.len() / share]);
+            check(&mut tracer, triangles, &bundles[..bundles.len() / 8 / share * 8]);
         }
     }
 }

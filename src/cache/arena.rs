@@ -59,9 +59,10 @@ fn return_freed_memory() {
 fn prefer_huge_pages(memory: NonNull<u8>, bytes: usize) {
     #[cfg(target_os = "linux")]
     {
-        let page = rustix::param::page_size();
-        let before_page = memory.align_offset(page);
-        let whole_pages = bytes.saturating_sub(before_page) / page * page;
+        // Where the size of a huge page is another, the advice comes to nothing, or helps a little less.
+        const HUGE_PAGE_BYTES: usize = 2 << 20;
+        let before_page = memory.align_offset(HUGE_PAGE_BYTES);
+        let whole_pages = bytes.saturating_sub(before_page) / HUGE_PAGE_BYTES * HUGE_PAGE_BYTES;
         if whole_pages > 0 {
             // SAFETY: `before_page + whole_pages` is at most `bytes`, so all is inside the allocation.
             let pages = unsafe { memory.add(before_page) };

@@ -289,4 +289,39 @@ mod tests {
             }
         }
     }
+
+    /// Which groups are bundles.
+    struct Bundles(Space);
+
+    impl AnyOperation for Bundles {
+        type Output = ();
+
+        fn run<S: Simd>(self, simd: S) {
+            let space = self.0;
+            let fan = |width: f64| {
+                (0..LANES).map(move |lane| Ray::new([0.3, 0.2, -1.5], [0.2 + width * lane as f64, 0.3, 1.0]))
+            };
+            let is_bundle = |rays: &[Ray]| RayGroup::new(simd, rays, &space).bundle().is_some();
+            let narrow: Vec<Ray> = fan(0.01).collect();
+            assert!(is_bundle(&narrow));
+            assert!(!is_bundle(&narrow[1..]), "seven rays");
+            assert!(!is_bundle(&fan(0.1).collect::<Vec<_>>()), "rays that part");
+            assert!(!is_bundle(&fan(-0.04).collect::<Vec<_>>()), "rays that go different ways");
+            let mut one_along = narrow.clone();
+            one_along[3].direction[0] = 0.0;
+            assert!(!is_bundle(&one_along), "one is not plain");
+            let mut one_apart = narrow.clone();
+            one_apart[7].origin[1] += 0.5;
+            assert!(!is_bundle(&one_apart), "one begins elsewhere");
+        }
+    }
+
+    #[test]
+    fn bundles_are_eight_plain_rays_that_stay_together() {
+        let bounds = Aabb { min: [-1.0; 3], max: [1.0; 3] };
+        let space = Space::new(bounds, Frame { base: [0.0; 3], scale: 1.0 }, true);
+        for level in [SimdLevel::Portable, SimdLevel::best()] {
+            dispatch(level, Bundles(space));
+        }
+    }
 }

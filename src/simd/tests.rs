@@ -253,3 +253,77 @@ fn rays_prepared_together_are_those_prepared_alone() {
         dispatch(level, GroupsOp);
     }
 }
+
+/// Bundles against their rays.
+struct BundlesOp;
+
+impl AnyOperation for BundlesOp {
+    type Output = (u32, u32);
+
+    fn run<S: Simd>(self, simd: S) -> (u32, u32) {
+        let mut random = Random(13);
+        let (mut kept, mut dropped) = (0, 0);
+        for round in 0..4000 {
+            let (base, way) = (random.vector().map(|x| 4.0 * x), random.direction());
+            let (mut origins, mut directions) = ([[0.0f32; LANES]; 3], [[0.0f32; LANES]; 3]);
+            for lane in 0..LANES {
+                let (v, w) = (random.vector(), random.vector());
+                for axis in 0..3 {
+                    // Also from one point, and nearly along planes.
+                    let spread = if round % 2 == 0 { 0.0 } else { 0.05 };
+                    origins[axis][lane] = base[axis] + spread * v[axis];
+                    let way = if way[axis] == 0.0 { 0.06 } else { way[axis] };
+                    directions[axis][lane] = way + 0.06 * w[axis];
+                    if directions[axis][lane] == 0.0 {
+                        directions[axis][lane] = 1e-9;
+                    }
+                }
+            }
+            let load =
+                |rows: &[[f32; LANES]; 3]| [simd.load(&rows[0]), simd.load(&rows[1]), simd.load(&rows[2])];
+            let (direction, origin) = (load(&directions), load(&origins));
+            let Some(bundle) = RayBundle::new(simd, &direction, &origin, 0.2) else { continue };
+            let rays = RayRows::new(simd, &direction, &origin);
+            for _ in 0..8 {
+                let mut boxes: Boxes = [[0.0; LANES]; 6];
+                for lane in 0..LANES {
+                    let (low, size, t) = (random.vector(), random.vector(), 4.0 * random.next());
+                    for axis in 0..3 {
+                        let size = if size[axis] > 0.75 { 0.0 } else { size[axis].abs() };
+                        let low = base[axis] + t * way[axis] + low[axis];
+                        (boxes[axis][lane], boxes[axis + 3][lane]) = (low, low + size);
+                    }
+                }
+                let (low, high) = (simd.splat(0.0), simd.splat(9.0));
+                let (near, hits) = bundle.test(simd, &boxes, low, high);
+                let near = simd.to_array(near);
+                let mut any = 0;
+                for ray in 0..LANES {
+                    let (entry, met) = rays.get(ray).boxes.test(simd, &boxes, low, high);
+                    let entry = simd.to_array(entry);
+                    any |= met;
+                    assert_eq!(met & !hits, 0, "round {round}, ray {ray}: a box that it meets is dropped");
+                    for lane in 0..LANES {
+                        assert!(
+                            met >> lane & 1 == 0 || near[lane] <= entry[lane] * (1.0 + 1e-6),
+                            "round {round}: {} {}",
+                            near[lane],
+                            entry[lane]
+                        );
+                    }
+                }
+                kept += any.count_ones();
+                dropped += (!hits & 0xff).count_ones();
+            }
+        }
+        (kept, dropped)
+    }
+}
+
+#[test]
+fn a_bundle_keeps_every_box_that_one_of_its_rays_meets() {
+    for level in levels() {
+        let (kept, dropped) = dispatch(level, BundlesOp);
+        assert!(kept > 1000 && dropped > 20_000, "{kept} {dropped}");
+    }
+}
