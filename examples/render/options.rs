@@ -12,7 +12,7 @@ use outcrop::render::ImageFormat;
 use outcrop::simd::SimdLevel;
 use outcrop::units::Bytes;
 
-use crate::common::arguments::{Argument, Arguments};
+use crate::common::arguments::Arguments;
 use crate::common::gears_view;
 
 pub const HELP: &str = "\
@@ -134,17 +134,7 @@ impl Options {
         let mut options = Options::default();
         let mut output = None;
         let (mut size, mut memory) = (None, None);
-        while let Some(argument) = arguments.next()? {
-            let name = match argument {
-                Argument::Option(name) => name,
-                Argument::Positional(path) if options.model.is_none() => {
-                    options.model = Some(path);
-                    continue;
-                }
-                Argument::Positional(path) => {
-                    return Err(format!("{}: one model at a time", path.display()).into());
-                }
-            };
+        while let Some(name) = arguments.option_or_model(&mut options.model)? {
             match name.as_str() {
                 "-h" | "--help" => return Ok(Command::Help),
                 "-o" | "--output" => output = Some(arguments.path()?),
@@ -217,7 +207,7 @@ impl Options {
                 "--stats" => options.stats = Some(arguments.path()?),
                 "--record-accesses" => options.record_accesses = Some(arguments.path()?),
                 "--memory-log" => options.memory_log = Some(arguments.path()?),
-                _ => return Err(format!("{name}: no such option; --help lists them").into()),
+                _ => return Err(arguments.unknown()),
             }
         }
         options.finish(output, size, memory)?;
