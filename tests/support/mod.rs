@@ -128,6 +128,25 @@ pub fn all_hits(triangles: &[[[f64; 3]; 3]], ray: &Ray) -> Vec<(f64, TriangleId)
     hits
 }
 
+/// Whether the ray meets the box, widened by `slack`: let that be far more than the rounding of the octree's own test.
+pub fn may_meet(ray: &Ray, bounds: &Aabb, slack: f64) -> bool {
+    let (mut near, mut far) = (ray.t_min, ray.t_max);
+    for axis in 0..3 {
+        let (low, high) = (bounds.min[axis] - slack, bounds.max[axis] + slack);
+        let (origin, direction) = (ray.origin[axis], ray.direction[axis]);
+        if direction == 0.0 {
+            if origin < low || origin > high {
+                return false;
+            }
+        } else {
+            let (a, b) = ((low - origin) / direction, (high - origin) / direction);
+            near = near.max(a.min(b));
+            far = far.min(a.max(b));
+        }
+    }
+    near <= far
+}
+
 /// A small deterministic generator (SplitMix64).
 pub struct Random(pub u64);
 
