@@ -33,6 +33,12 @@ struct Subjects {
     scene: Scene,
 }
 
+impl Subjects {
+    fn subject<'a>(&'a self, settings: &'a RenderSettings, threads: &'a Threads) -> Subject<'a> {
+        Subject { octree: &self.octree, scene: &self.scene, settings, budget: &self.budget, threads }
+    }
+}
+
 fn subject(
     name: &'static str,
     shape: &dyn Shape,
@@ -126,18 +132,8 @@ fn error_goals(
         let mut verdict = Verdict::Met;
         for _ in 0..if is_test { 1 } else { 3 } {
             let start = Instant::now();
-            let before = processor_seconds(start);
-            let go_on = &mut |_| Control::Continue;
-            let GoalImage { image, certificate } = render_to_goal(
-                subject.octree,
-                subject.scene,
-                subject.settings,
-                &options,
-                subject.threads,
-                subject.budget,
-                go_on,
-            )?;
-            seconds = processor_seconds(start) - before;
+            let (GoalImage { image, certificate }, own_seconds) = to_goal(subject, &options, start)?;
+            seconds = own_seconds;
             reached = metric.distance(reference.film.pixels(), image.film.pixels(), image.film.width());
             certified = certificate.error_bound(*metric).unwrap_or(f64::INFINITY);
             verdict = certificate.verdict;
@@ -174,6 +170,25 @@ fn error_goals(
     Ok(holds)
 }
 
+/// The picture made to a goal, and the processor's seconds that it took.
+fn to_goal(
+    subject: &Subject<'_>,
+    options: &GoalOptions,
+    start: Instant,
+) -> Result<(GoalImage, f64), Failure> {
+    let before = processor_seconds(start);
+    let image = render_to_goal(
+        subject.octree,
+        subject.scene,
+        subject.settings,
+        options,
+        subject.threads,
+        subject.budget,
+        &mut |_| Control::Continue,
+    )?;
+    Ok((image, processor_seconds(start) - before))
+}
+
 fn describe(knobs: &Knobs) -> String {
     match &knobs.sampling {
         Sampling::Fixed { samples } => format!("{samples} samples, cut-off {:e}", knobs.contribution_bound),
@@ -188,17 +203,8 @@ fn time_goals(found: &Subjects, subject: &Subject<'_>, is_test: bool) -> Result<
     for milliseconds in goals {
         let options = GoalOptions::new(Goal::MaxTime(Duration::from_millis(*milliseconds)));
         let start = Instant::now();
-        let before = processor_seconds(start);
-        let GoalImage { certificate, .. } = render_to_goal(
-            subject.octree,
-            subject.scene,
-            subject.settings,
-            &options,
-            subject.threads,
-            subject.budget,
-            &mut |_| Control::Continue,
-        )?;
-        let (wall, processor) = (start.elapsed().as_secs_f64(), processor_seconds(start) - before);
+        let (GoalImage { certificate, .. }, processor) = to_goal(subject, &options, start)?;
+        let wall = start.elapsed().as_secs_f64();
         let asked = *milliseconds as f64 * 1e-3;
         let rmse = certificate.estimates.map_or(f64::NAN, |estimates| estimates[0].value);
         println!(
@@ -231,13 +237,7 @@ fn run() -> Result<bool, Failure> {
     println!("|---|---|---|---|---|---|---|");
     let mut holds = true;
     for found in &all {
-        let subject = Subject {
-            octree: &found.octree,
-            scene: &found.scene,
-            settings: &settings,
-            budget: &found.budget,
-            threads: &threads,
-        };
+        let subject = found.subject(&settings, &threads);
         let cut_off = if is_test { 1e-3 } else { 1e-5 };
         let reference = subject.reference(samples, cut_off, &mut |_| Control::Continue)?;
         holds &= error_goals(found, &subject, &reference, is_test)?;
@@ -247,13 +247,7 @@ fn run() -> Result<bool, Failure> {
     );
     println!("|---|---|---|---|---|---|---|");
     for found in &all {
-        let subject = Subject {
-            octree: &found.octree,
-            scene: &found.scene,
-            settings: &settings,
-            budget: &found.budget,
-            threads: &threads,
-        };
+        let subject = found.subject(&settings, &threads);
         time_goals(found, &subject, is_test)?;
     }
     Ok(holds)
