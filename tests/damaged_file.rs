@@ -1,8 +1,12 @@
 //! I5 from end to end: a compiled file that is cut off or has bits flipped gives a typed error or the same hits, never a
 //! panic and never a wrong hit.
 
+#[path = "support/numbers.rs"]
+mod numbers;
+
 use std::sync::Arc;
 
+use numbers::Random;
 use outcrop::compile::{CompileOptions, Compiler, Control};
 use outcrop::error::Error;
 use outcrop::geom::Ray;
@@ -65,16 +69,8 @@ fn every_truncation_is_an_error() {
     }
 }
 
-/// SplitMix64.
-fn random(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let z = (*state ^ (*state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
-
 fn flip_bits(count: u64, seed: u64) {
-    let mut state = seed;
+    let mut random = Random(seed);
     for file in models() {
         let (expected, touched) = traced(file.clone()).unwrap();
         assert!(touched >= 1 && expected.iter().flatten().count() > 20);
@@ -82,9 +78,8 @@ fn flip_bits(count: u64, seed: u64) {
         for _ in 0..count / 2 {
             let mut damaged = file.clone();
             // One bit, or a few.
-            for _ in 0..=random(&mut state) % 3 {
-                let bit = random(&mut state) % (8 * file.len() as u64);
-                damaged[(bit / 8) as usize] ^= 1 << (bit % 8);
+            for _ in 0..=random.below(3) {
+                random.flip(&mut damaged);
             }
             match traced(damaged) {
                 Ok((hits, _)) => assert!(hits == expected, "a damaged file gave other hits"),

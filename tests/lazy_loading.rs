@@ -18,7 +18,8 @@ use outcrop::source::MemorySource;
 use outcrop::trace::Occlusion;
 use outcrop::units::{BlockId, Bytes};
 use outcrop::{BlockSource, MemoryBudget};
-use support::{Random, may_meet};
+use support::may_meet;
+use support::numbers::Random;
 
 /// Notes which blocks are read.
 struct Recording {

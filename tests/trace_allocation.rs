@@ -21,7 +21,7 @@ use outcrop::procedural::Terrain;
 use outcrop::source::DiskSource;
 use outcrop::trace::{MaterialSet, Occlusion};
 use outcrop::units::{Bytes, MaterialId};
-use support::Random;
+use support::numbers::Random;
 
 /// Counts the calls of each thread.
 struct Counting;

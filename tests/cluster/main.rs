@@ -2,6 +2,8 @@
 
 mod hostile;
 mod messages;
+#[path = "../support/numbers.rs"]
+mod numbers;
 mod processes;
 mod simulated;
 mod support;

@@ -1,6 +1,8 @@
 //! Small models compiled in memory with a partition of the test's choosing, and brute force over their triangles.
 #![allow(dead_code)]
 
+pub mod numbers;
+
 use std::sync::Arc;
 
 use outcrop::block::{BlockInput, BlockLimits, Codec, EncodeScratch, VertexInput, encode};
@@ -145,30 +147,4 @@ pub fn may_meet(ray: &Ray, bounds: &Aabb, slack: f64) -> bool {
         }
     }
     near <= far
-}
-
-/// A small deterministic generator (SplitMix64).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
-    }
-
-    pub fn below(&mut self, n: usize) -> usize {
-        (self.next() % n as u64) as usize
-    }
-
-    /// In -1 .. 1.
-    pub fn signed(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-
-    pub fn vector(&mut self) -> [f64; 3] {
-        [self.signed(), self.signed(), self.signed()]
-    }
 }

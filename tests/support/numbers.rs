@@ -1,4 +1,4 @@
-//! Seeded random numbers and a few operations on points, shared by tests and `benches/peers`.
+//! Seeded random numbers and a few operations on points, shared by tests and benchmarks.
 #![allow(dead_code)]
 
 /// SplitMix64: a test names its seed, so that a failure can be repeated.
@@ -25,6 +25,11 @@ impl Random {
         from[self.index(from.len())]
     }
 
+    /// Between 0 and 1.
+    pub fn unit(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
     /// Between -1 and 1.
     pub fn signed(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
@@ -32,6 +37,12 @@ impl Random {
 
     pub fn vector(&mut self, size: f64) -> [f64; 3] {
         [(); 3].map(|()| size * self.signed())
+    }
+
+    /// Turns one bit over.
+    pub fn flip(&mut self, bytes: &mut [u8]) {
+        let bit = self.index(8 * bytes.len());
+        bytes[bit / 8] ^= 1 << (bit % 8);
     }
 
     pub fn integers(&mut self, most: i64) -> [f64; 3] {
