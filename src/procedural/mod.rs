@@ -22,7 +22,7 @@ mod torus_field;
 
 pub use assembly::Assembly;
 pub use closed::open_edges;
-pub use cuboid::CUBOID_FACES;
+pub use cuboid::{CUBOID_FACES, cuboid_corners};
 pub use gears::Gears;
 pub use glass_stack::GlassStack;
 pub use icosphere::Icosphere;
