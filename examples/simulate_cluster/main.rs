@@ -7,6 +7,8 @@
 mod common;
 #[path = "../../benches/support/paths.rs"]
 mod paths;
+#[path = "../../benches/support/plain_scheduler.rs"]
+mod plain_scheduler;
 #[path = "../../benches/support/scenes.rs"]
 mod scenes;
 mod tables;
