@@ -5,16 +5,20 @@
 //!
 //! With `--test`, as `cargo bench --benches -- --test` runs it, pictures are tiny and only what must hold everywhere is checked.
 
+#[path = "../tests/support/compiled.rs"]
+mod compiled;
+
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use compiled::compiled;
 use outcrop::accuracy::sweep::{Reference, Subject, processor_seconds};
 use outcrop::accuracy::{
     Goal, GoalImage, GoalOptions, Knobs, Metric, Sampling, TileThreshold, Verdict, render_to_goal,
     render_with_knobs,
 };
-use outcrop::compile::{CompileOptions, Compiler, Control, Threads};
+use outcrop::compile::{CompileOptions, Control, Threads};
 use outcrop::geom::Aabb;
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Assembly, Gears, GlassStack, Icosphere, Shape, Terrain, TorusField};
@@ -44,14 +48,9 @@ fn subject(
     shape: &dyn Shape,
     scene: impl Fn(&Aabb) -> Result<Scene, Failure>,
 ) -> Result<Subjects, Failure> {
-    let directory = tempfile::tempdir()?;
-    let path = directory.path().join("scene.outcrop");
+    let source: Arc<dyn BlockSource> =
+        Arc::new(MemorySource::new(compiled(shape, &CompileOptions::default()))?);
     let budget = MemoryBudget::new(Bytes::mib(1024));
-    let mut progress = |_| Control::Continue;
-    let mut compiler = Compiler::new(&path, CompileOptions::default(), &budget, &mut progress)?;
-    shape.emit(&mut compiler)?;
-    compiler.finish()?;
-    let source: Arc<dyn BlockSource> = Arc::new(MemorySource::new(std::fs::read(&path)?)?);
     let scene = scene(&source.model().bounds)?;
     let options = OctreeOptions { tracers_max: 8, slots_max: Some(1024), ..OctreeOptions::default() };
     Ok(Subjects { name, octree: LazyOctree::open(source, &budget, options)?, budget, scene })
@@ -71,7 +70,7 @@ fn subjects() -> Result<Vec<Subjects>, Failure> {
         [1e6 + 0.9, -0.9, 0.7],
     );
     Ok(vec![
-        subject("gears above a mirror", &Gears::new(1)?, |_| view([-1.1, -2.1, 2.6], [0.0; 3], 45.0))?,
+        subject("gears above a mirror", &Gears::new(1)?, |_| view(Gears::EYE, [0.0; 3], 45.0))?,
         subject("stack of glass", &glass, |_| view([-1.4, -2.0, 2.2], [0.0, 0.0, 0.6], 40.0))?,
         subject("spheres at 1e6", &far, |_| {
             let camera = Camera::pinhole([1e6 + 3.0, -3.0, 2.0], [1e6, 0.0, 0.0], [0.0, 0.0, 1.0], 40.0)?;

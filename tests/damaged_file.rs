@@ -1,13 +1,16 @@
 //! I5 from end to end: a compiled file that is cut off or has bits flipped gives a typed error or the same hits, never a
 //! panic and never a wrong hit.
 
+#[path = "support/compiled.rs"]
+mod compiled;
 #[path = "support/numbers.rs"]
 mod numbers;
 
 use std::sync::Arc;
 
+use compiled::compiled;
 use numbers::Random;
-use outcrop::compile::{CompileOptions, Compiler, Control};
+use outcrop::compile::CompileOptions;
 use outcrop::error::Error;
 use outcrop::geom::Ray;
 use outcrop::octree::OctreeOptions;
@@ -16,17 +19,6 @@ use outcrop::source::MemorySource;
 use outcrop::trace::Hit;
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
-
-fn compiled(shape: &dyn Shape) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("model.outcrop");
-    let options = CompileOptions { block_bytes: 4096, ..CompileOptions::default() };
-    let mut go_on = |_| Control::Continue;
-    let mut compiler = Compiler::new(&path, options, &MemoryBudget::new(Bytes::mib(64)), &mut go_on).unwrap();
-    shape.emit(&mut compiler).unwrap();
-    compiler.finish().unwrap();
-    std::fs::read(path).unwrap()
-}
 
 /// Rays through all of the models below, so that every block is read.
 fn rays() -> Vec<Ray> {
@@ -54,7 +46,10 @@ fn traced(file: Vec<u8>) -> Result<(Vec<Option<Hit>>, u64), Error> {
 }
 
 fn models() -> [Vec<u8>; 2] {
-    [compiled(&GlassStack::new(12, 0.3, 0.5, 1.5).unwrap()), compiled(&Soup::new(600, 0.3, 4).unwrap())]
+    let options = CompileOptions { block_bytes: 4096, ..CompileOptions::default() };
+    let shapes: [&dyn Shape; 2] =
+        [&GlassStack::new(12, 0.3, 0.5, 1.5).unwrap(), &Soup::new(600, 0.3, 4).unwrap()];
+    shapes.map(|shape| compiled(shape, &options))
 }
 
 #[test]

@@ -8,6 +8,7 @@ use outcrop::block::Codec;
 use outcrop::cache::Policy;
 use outcrop::compile::PrecisionChoice;
 use outcrop::octree::{LeafLayout, Tier, TreeQuality};
+use outcrop::procedural::Gears;
 use outcrop::render::ImageFormat;
 use outcrop::simd::SimdLevel;
 use outcrop::units::Bytes;
@@ -246,11 +247,11 @@ impl Options {
     /// What the gears are shown with where the command line leaves it open: their standard view.
     fn show_gears(&mut self) {
         (self.size, self.memory) = ([768, 768], Bytes::mib(64));
-        self.eye.get_or_insert(gears_view::EYE);
+        self.eye.get_or_insert(Gears::EYE);
         self.look_at.get_or_insert(gears_view::LOOK_AT);
         self.up.get_or_insert(gears_view::UP);
         if self.lights.is_empty() {
-            self.lights = gears_view::LAMPS.map(|position| (position, gears_view::INTENSITY)).to_vec();
+            self.lights = Gears::LAMPS.map(|position| (position, gears_view::INTENSITY)).to_vec();
         }
     }
 }
