@@ -10,7 +10,8 @@ use outcrop::simd::SimdLevel;
 use outcrop::trace::{MaterialSet, Occlusion, Tracer};
 use outcrop::units::{Bytes, MaterialId, TriangleId};
 use outcrop::{BlockSource, MemoryBudget};
-use support::{MATERIALS, Random, Triangles, all_hits, compile};
+use support::numbers::Random;
+use support::{MATERIALS, Triangles, all_hits, compile};
 
 /// Rounds to f32, so that `Float32` files hold the positions exactly.
 fn round(triangles: Triangles) -> Triangles {
@@ -19,9 +20,9 @@ fn round(triangles: Triangles) -> Triangles {
 
 fn soup(random: &mut Random, count: usize, size: f64, scale: f64, shift: [f64; 3]) -> Triangles {
     let triangles = (0..count).map(|_| {
-        let center = random.vector();
+        let center = random.vector(1.0);
         let mut corner = || {
-            let offset = random.vector();
+            let offset = random.vector(1.0);
             [0, 1, 2].map(|axis| scale * (center[axis] + size * offset[axis]) + shift[axis])
         };
         [corner(), corner(), corner()]
@@ -43,12 +44,12 @@ fn rays(random: &mut Random, triangles: &Triangles, count: usize) -> Vec<Ray> {
     let size = if size == 0.0 { 1.0 } else { size };
     (0..count)
         .map(|i| {
-            let v = random.vector();
+            let v = random.vector(1.0);
             let origin = [0, 1, 2].map(|axis| 0.5 * (low[axis] + high[axis]) + size * v[axis]);
-            let triangle = triangles[random.below(triangles.len())];
-            let corner = triangle[random.below(3)];
+            let triangle = triangles[random.index(triangles.len())];
+            let corner = triangle[random.index(3)];
             let mut direction = match i % 5 {
-                0 => random.vector(),
+                0 => random.vector(1.0),
                 1 => [0, 1, 2].map(|axis| corner[axis] - origin[axis]),
                 2 => {
                     let t = 0.5 * (random.signed() + 1.0);
@@ -58,10 +59,10 @@ fn rays(random: &mut Random, triangles: &Triangles, count: usize) -> Vec<Ray> {
                 }
                 3 => {
                     let mut axis_aligned = [0.0; 3];
-                    axis_aligned[random.below(3)] = if random.next() & 1 == 0 { 1.0 } else { -1.0 };
+                    axis_aligned[random.index(3)] = if random.bits() & 1 == 0 { 1.0 } else { -1.0 };
                     axis_aligned
                 }
-                _ => random.vector(),
+                _ => random.vector(1.0),
             };
             if direction == [0.0; 3] {
                 direction = [1.0, 0.0, 0.0];
@@ -288,9 +289,9 @@ fn lattice_models_far_out_and_wide() {
         let lattice = outcrop::geom::Lattice { exponent };
         let mut triangles = Triangles::new();
         for _ in 0..150 {
-            let center = random.vector();
+            let center = random.vector(1.0);
             let mut corner = || {
-                let offset = random.vector();
+                let offset = random.vector(1.0);
                 [0, 1, 2].map(|axis| {
                     let x = shift + extent * (center[axis] + 0.3 * offset[axis]);
                     lattice.position(lattice.quantize(x).unwrap())
@@ -310,7 +311,7 @@ fn rays_from_far_away_and_of_any_length() {
     let mut far = Vec::new();
     for distance in [1e2, 1e6, 1e12, 1e30, 1e60] {
         for _ in 0..20 {
-            let (toward, target) = (random.vector(), triangles[random.below(300)][random.below(3)]);
+            let (toward, target) = (random.vector(1.0), triangles[random.index(300)][random.index(3)]);
             let origin = [0, 1, 2].map(|axis| target[axis] - distance * toward[axis]);
             far.push(Ray::new(origin, toward));
             let mut short = Ray::new(origin, toward);

@@ -120,20 +120,16 @@ fn block_means(map: &[f64], width: usize) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::procedural::random::Random;
 
     /// Pixels with a normal error of deviation `sigma`, seeded: the estimates hold it as often as they say.
     #[test]
     fn estimates_hold_noise_that_is_known() {
         const SIDE: u32 = 64;
         let sigma = 0.02;
-        let mut state = 1u64;
-        let mut uniform = || {
-            // SplitMix64: neighbours of a linear congruence would spoil the tails that Box and Muller make of them.
-            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let mixed = (state ^ state >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-            ((mixed ^ mixed >> 31) >> 11) as f64 / (1u64 << 53) as f64
-        };
+        // Not a linear congruence: its neighbours would spoil the tails that Box and Muller make of them.
+        let mut random = Random::new(1);
+        let mut uniform = || random.unit();
         let mut normal =
             || (-2.0 * (1.0 - uniform()).ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
         let mut held = [0; 3];
