@@ -92,7 +92,7 @@ fn bundles(random: &mut Random, rays: &[Ray]) -> Vec<Ray> {
             let mut near = *ray;
             // The first of some is the ray itself, which may be along an axis.
             if lane > 0 || i % 3 > 0 {
-                let (v, w) = (random.vector(), random.vector());
+                let (v, w) = (random.vector(1.0), random.vector(1.0));
                 near.direction = [0, 1, 2].map(|axis| ray.direction[axis] + 0.04 * size * v[axis]);
                 if i % 2 == 0 {
                     near.origin = [0, 1, 2].map(|axis| ray.origin[axis] + 0.004 * size * w[axis]);

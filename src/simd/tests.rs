@@ -283,7 +283,6 @@ impl AnyOperation for BundlesOp {
                 |rows: &[[f32; LANES]; 3]| [simd.load(&rows[0]), simd.load(&rows[1]), simd.load(&rows[2])];
             let (direction, origin) = (load(&directions), load(&origins));
             let Some(bundle) = RayBundle::new(simd, &direction, &origin, 0.2) else { continue };
-            let rays = RayRows::new(simd, &direction, &origin);
             for _ in 0..8 {
                 let mut boxes: Boxes = [[0.0; LANES]; 6];
                 for lane in 0..LANES {
@@ -297,19 +296,28 @@ impl AnyOperation for BundlesOp {
                 let (low, high) = (simd.splat(0.0), simd.splat(9.0));
                 let (near, hits) = bundle.test(simd, &boxes, low, high);
                 let near = simd.to_array(near);
-                let mut any = 0;
+                let mut any = 0u32;
                 for ray in 0..LANES {
-                    let (entry, met) = rays.get(ray).boxes.test(simd, &boxes, low, high);
-                    let entry = simd.to_array(entry);
-                    any |= met;
-                    assert_eq!(met & !hits, 0, "round {round}, ray {ray}: a box that it meets is dropped");
                     for lane in 0..LANES {
-                        assert!(
-                            met >> lane & 1 == 0 || near[lane] <= entry[lane] * (1.0 + 1e-6),
-                            "round {round}: {} {}",
-                            near[lane],
-                            entry[lane]
-                        );
+                        let (mut entry, mut exit) = (0.0f64, 9.0f64);
+                        for axis in 0..3 {
+                            let (o, d) = (f64::from(origins[axis][ray]), f64::from(directions[axis][ray]));
+                            let (low, high) =
+                                (f64::from(boxes[axis][lane]), f64::from(boxes[axis + 3][lane]));
+                            let (a, b) = ((low - o) / d, (high - o) / d);
+                            (entry, exit) = (entry.max(a.min(b)), exit.min(a.max(b)));
+                        }
+                        if entry <= exit {
+                            any |= 1 << lane;
+                            assert!(
+                                hits >> lane & 1 == 1,
+                                "round {round}, ray {ray}: a box that it meets is dropped"
+                            );
+                            assert!(
+                                f64::from(near[lane]) <= entry * (1.0 + 1e-6),
+                                "round {round}, ray {ray}"
+                            );
+                        }
                     }
                 }
                 kept += any.count_ones();
