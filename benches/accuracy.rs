@@ -5,16 +5,20 @@
 //!
 //! With `--test`, as `cargo bench --benches -- --test` runs it, pictures are tiny and only what must hold everywhere is checked.
 
+#[path = "../tests/support/compiled.rs"]
+mod compiled;
+
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use compiled::compiled;
 use outcrop::accuracy::sweep::{Reference, Subject, processor_seconds};
 use outcrop::accuracy::{
     Goal, GoalImage, GoalOptions, Knobs, Metric, Sampling, TileThreshold, Verdict, render_to_goal,
     render_with_knobs,
 };
-use outcrop::compile::{CompileOptions, Compiler, Control, Threads};
+use outcrop::compile::{CompileOptions, Control, Threads};
 use outcrop::geom::Aabb;
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Assembly, Gears, GlassStack, Icosphere, Shape, Terrain, TorusField};
@@ -33,19 +37,20 @@ struct Subjects {
     scene: Scene,
 }
 
+impl Subjects {
+    fn subject<'a>(&'a self, settings: &'a RenderSettings, threads: &'a Threads) -> Subject<'a> {
+        Subject { octree: &self.octree, scene: &self.scene, settings, budget: &self.budget, threads }
+    }
+}
+
 fn subject(
     name: &'static str,
     shape: &dyn Shape,
     scene: impl Fn(&Aabb) -> Result<Scene, Failure>,
 ) -> Result<Subjects, Failure> {
-    let directory = tempfile::tempdir()?;
-    let path = directory.path().join("scene.outcrop");
+    let source: Arc<dyn BlockSource> =
+        Arc::new(MemorySource::new(compiled(shape, &CompileOptions::default()))?);
     let budget = MemoryBudget::new(Bytes::mib(1024));
-    let mut progress = |_| Control::Continue;
-    let mut compiler = Compiler::new(&path, CompileOptions::default(), &budget, &mut progress)?;
-    shape.emit(&mut compiler)?;
-    compiler.finish()?;
-    let source: Arc<dyn BlockSource> = Arc::new(MemorySource::new(std::fs::read(&path)?)?);
     let scene = scene(&source.model().bounds)?;
     let options = OctreeOptions { tracers_max: 8, slots_max: Some(1024), ..OctreeOptions::default() };
     Ok(Subjects { name, octree: LazyOctree::open(source, &budget, options)?, budget, scene })
@@ -65,7 +70,7 @@ fn subjects() -> Result<Vec<Subjects>, Failure> {
         [1e6 + 0.9, -0.9, 0.7],
     );
     Ok(vec![
-        subject("gears above a mirror", &Gears::new(1)?, |_| view([-1.1, -2.1, 2.6], [0.0; 3], 45.0))?,
+        subject("gears above a mirror", &Gears::new(1)?, |_| view(Gears::EYE, [0.0; 3], 45.0))?,
         subject("stack of glass", &glass, |_| view([-1.4, -2.0, 2.2], [0.0, 0.0, 0.6], 40.0))?,
         subject("spheres at 1e6", &far, |_| {
             let camera = Camera::pinhole([1e6 + 3.0, -3.0, 2.0], [1e6, 0.0, 0.0], [0.0, 0.0, 1.0], 40.0)?;
@@ -126,18 +131,8 @@ fn error_goals(
         let mut verdict = Verdict::Met;
         for _ in 0..if is_test { 1 } else { 3 } {
             let start = Instant::now();
-            let before = processor_seconds(start);
-            let go_on = &mut |_| Control::Continue;
-            let GoalImage { image, certificate } = render_to_goal(
-                subject.octree,
-                subject.scene,
-                subject.settings,
-                &options,
-                subject.threads,
-                subject.budget,
-                go_on,
-            )?;
-            seconds = processor_seconds(start) - before;
+            let (GoalImage { image, certificate }, own_seconds) = to_goal(subject, &options, start)?;
+            seconds = own_seconds;
             reached = metric.distance(reference.film.pixels(), image.film.pixels(), image.film.width());
             certified = certificate.error_bound(*metric).unwrap_or(f64::INFINITY);
             verdict = certificate.verdict;
@@ -174,6 +169,25 @@ fn error_goals(
     Ok(holds)
 }
 
+/// The picture made to a goal, and the processor's seconds that it took.
+fn to_goal(
+    subject: &Subject<'_>,
+    options: &GoalOptions,
+    start: Instant,
+) -> Result<(GoalImage, f64), Failure> {
+    let before = processor_seconds(start);
+    let image = render_to_goal(
+        subject.octree,
+        subject.scene,
+        subject.settings,
+        options,
+        subject.threads,
+        subject.budget,
+        &mut |_| Control::Continue,
+    )?;
+    Ok((image, processor_seconds(start) - before))
+}
+
 fn describe(knobs: &Knobs) -> String {
     match &knobs.sampling {
         Sampling::Fixed { samples } => format!("{samples} samples, cut-off {:e}", knobs.contribution_bound),
@@ -188,17 +202,8 @@ fn time_goals(found: &Subjects, subject: &Subject<'_>, is_test: bool) -> Result<
     for milliseconds in goals {
         let options = GoalOptions::new(Goal::MaxTime(Duration::from_millis(*milliseconds)));
         let start = Instant::now();
-        let before = processor_seconds(start);
-        let GoalImage { certificate, .. } = render_to_goal(
-            subject.octree,
-            subject.scene,
-            subject.settings,
-            &options,
-            subject.threads,
-            subject.budget,
-            &mut |_| Control::Continue,
-        )?;
-        let (wall, processor) = (start.elapsed().as_secs_f64(), processor_seconds(start) - before);
+        let (GoalImage { certificate, .. }, processor) = to_goal(subject, &options, start)?;
+        let wall = start.elapsed().as_secs_f64();
         let asked = *milliseconds as f64 * 1e-3;
         let rmse = certificate.estimates.map_or(f64::NAN, |estimates| estimates[0].value);
         println!(
@@ -231,13 +236,7 @@ fn run() -> Result<bool, Failure> {
     println!("|---|---|---|---|---|---|---|");
     let mut holds = true;
     for found in &all {
-        let subject = Subject {
-            octree: &found.octree,
-            scene: &found.scene,
-            settings: &settings,
-            budget: &found.budget,
-            threads: &threads,
-        };
+        let subject = found.subject(&settings, &threads);
         let cut_off = if is_test { 1e-3 } else { 1e-5 };
         let reference = subject.reference(samples, cut_off, &mut |_| Control::Continue)?;
         holds &= error_goals(found, &subject, &reference, is_test)?;
@@ -247,13 +246,7 @@ fn run() -> Result<bool, Failure> {
     );
     println!("|---|---|---|---|---|---|---|");
     for found in &all {
-        let subject = Subject {
-            octree: &found.octree,
-            scene: &found.scene,
-            settings: &settings,
-            budget: &found.budget,
-            threads: &threads,
-        };
+        let subject = found.subject(&settings, &threads);
         time_goals(found, &subject, is_test)?;
     }
     Ok(holds)

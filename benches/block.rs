@@ -4,21 +4,25 @@
 //! Times are processor time of the thread. `bytes per triangle` is that of the stored blocks, without directory and
 //! materials.
 
+#[path = "../tests/support/compiled.rs"]
+mod compiled;
+
 use std::hint::black_box;
 use std::time::Duration;
 
+use compiled::compiled;
 use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use outcrop::BlockSource;
 use outcrop::block::{
     BlockCheck, BlockData, BlockInput, BlockLimits, Codec, DecodeScratch, EncodeScratch, VertexInput,
     checksum, decode, encode,
 };
-use outcrop::compile::{CompileOptions, Compiler, Control, PrecisionChoice};
+use outcrop::compile::{CompileOptions, PrecisionChoice};
 use outcrop::geom::Precision;
-use outcrop::procedural::{Gears, Shape};
-use outcrop::source::DiskSource;
-use outcrop::units::{BlockId, Bytes};
-use outcrop::{BlockSource, MemoryBudget};
+use outcrop::procedural::Gears;
+use outcrop::source::MemorySource;
+use outcrop::units::BlockId;
 
 /// Processor time, so that other work on the machine shows as little as it can.
 struct ProcessorTime;
@@ -75,16 +79,9 @@ const EXPONENT: i32 = -22;
 
 /// The first blocks of the compiled gears (n = 2, 219,744 triangles), decoded.
 fn blocks(precision: PrecisionChoice) -> (Precision, BlockLimits, Vec<BlockData>) {
-    let folder = tempfile::tempdir().expect("a folder for the compiled file");
-    let path = folder.path().join("gears.outcrop");
-    let budget = MemoryBudget::new(Bytes::mib(256));
     let options = CompileOptions { precision, codec: Codec::Raw, ..CompileOptions::default() };
-    let mut progress = |_| Control::Continue;
-    let mut compiler = Compiler::new(&path, options, &budget, &mut progress).expect("fits");
-    Gears::new(2).and_then(|gears| gears.emit(&mut compiler)).expect("a valid model");
-    compiler.finish().expect("room for the compiled file");
-
-    let source = DiskSource::open(&path).expect("was just written");
+    let gears = Gears::new(2).expect("n is small");
+    let source = MemorySource::new(compiled(&gears, &options)).expect("a whole file");
     let model = source.model();
     let mut scratch = DecodeScratch::with_limits(model.limits);
     let mut bytes = Vec::new();

@@ -9,17 +9,14 @@ use std::time::Duration;
 use criterion::{Criterion, Throughput};
 use outcrop::MemoryBudget;
 use outcrop::block::{BlockData, Codec, DecodeScratch};
-use outcrop::compile::{CompileOptions, CompileReport, Compiler, Control, PrecisionChoice, Threads};
+use outcrop::compile::{CompileOptions, CompileReport, Control, PrecisionChoice, Threads, compile_shape};
 use outcrop::model::ModelReader;
 use outcrop::procedural::{Gears, Shape, Tessellation};
 use outcrop::units::{BlockId, Bytes};
 
 fn compile(gears: &Gears, options: &CompileOptions, budget: Bytes, output: &Path) -> CompileReport {
     let budget = MemoryBudget::new(budget);
-    let mut go_on = |_| Control::Continue;
-    let mut compiler = Compiler::new(output, options.clone(), &budget, &mut go_on).expect("starts");
-    gears.emit(&mut compiler).expect("takes the mesh");
-    compiler.finish().expect("finishes")
+    compile_shape(gears, output, options, &budget, &mut |_| Control::Continue).expect("compiles")
 }
 
 /// That the file holds every triangle once.

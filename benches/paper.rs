@@ -8,17 +8,19 @@
 
 #[path = "support/paths.rs"]
 mod paths;
+#[path = "support/plain_scheduler.rs"]
+mod plain_scheduler;
 #[path = "support/scenes.rs"]
 mod scenes;
 
 use std::error::Error;
-use std::time::Duration;
 
 use outcrop::schedule::simulation::{
     AccessDetail, ClusterModel, CostImage, CostModel, measure, sequential, simulate,
 };
 use outcrop::schedule::{CentralPoints, ImageGrid, SchedulerOptions, TilePolicy};
 use outcrop::trace::Tracer;
+use plain_scheduler::plain;
 use scenes::Scene;
 
 /// Numbers of workers in the paper's Table 4.
@@ -69,21 +71,12 @@ fn table_4(scene: &Scene, size: u32) -> Result<(), Box<dyn Error>> {
     println!("| | {} |", WORKERS.map(|workers| format!("{workers} workers")).join(" | "));
     println!("|---|---|---|---|");
     // As the paper describes them: no speeds, no taking over, no asking ahead.
-    let fixed = |policy, workers| SchedulerOptions {
-        policy,
-        tiles_per_worker: 0,
-        share_of_rest: 0.0,
-        critical_time: false,
-        take_over: false,
-        learn_speeds: false,
-        hand_out_min: Duration::ZERO,
-        ..SchedulerOptions::new(workers)
-    };
     let adaptive = |policy, workers| SchedulerOptions {
+        policy,
         tiles_per_worker: 5,
         share_of_rest: 0.25,
         critical_time: true,
-        ..fixed(policy, workers)
+        ..plain(workers)
     };
     let (even, cross) = (CentralPoints::Even, CentralPoints::Diagonals);
     let row =
@@ -97,7 +90,7 @@ fn table_4(scene: &Scene, size: u32) -> Result<(), Box<dyn Error>> {
             println!("| {name} | {} |", cells.join(" | "));
             Ok::<(), Box<dyn Error>>(())
         };
-    row("fixed 32 x 32", &fixed_costs, &model, &|workers| fixed(TilePolicy::Rows, workers))?;
+    row("fixed 32 x 32", &fixed_costs, &model, &plain)?;
     for (name, points) in [("even points", even), ("points on an X", cross)] {
         let near = TilePolicy::Nearest(points);
         row(&format!("adaptive, nearest, {name}"), &costs, &model, &|workers| adaptive(near, workers))?;

@@ -1,40 +1,31 @@
 //! Whole pictures of one wheel of the gears, from resident blocks: what shading adds to tracing.
 
+#[path = "../tests/support/compiled.rs"]
+mod compiled;
+
 use std::hint::black_box;
 use std::sync::Arc;
 
+use compiled::compiled;
 use criterion::{Criterion, criterion_group, criterion_main};
-use outcrop::compile::{CompileOptions, Compiler, Control, Threads};
+use outcrop::compile::{CompileOptions, Control, Threads};
 use outcrop::octree::OctreeOptions;
-use outcrop::procedural::{Gears, Shape};
+use outcrop::procedural::Gears;
 use outcrop::render::{RenderSettings, Renderer};
 use outcrop::scene::{Camera, Effect, EffectSet, Light, Scene};
 use outcrop::source::MemorySource;
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
 
-/// The compiled gears scene with `n`^3 wheels.
-fn compiled(n: u32) -> Vec<u8> {
-    let directory = tempfile::tempdir().expect("a temporary directory");
-    let path = directory.path().join("gears.outcrop");
-    let budget = MemoryBudget::new(Bytes::mib(256));
-    let mut progress = |_| Control::Continue;
-    let mut compiler =
-        Compiler::new(&path, CompileOptions::default(), &budget, &mut progress).expect("the budget is ample");
-    Gears::new(n).expect("n is small").emit(&mut compiler).expect("the gears compile");
-    compiler.finish().expect("the gears compile");
-    std::fs::read(&path).expect("the file was just written")
-}
-
 fn pictures(criterion: &mut Criterion) {
-    let camera = Camera::pinhole([-1.1, -2.1, 2.6], [0.0; 3], [0.0, 0.0, 1.0], 45.0).expect("a valid camera");
-    let positions =
-        [[2.0, 4.0, 4.0], [-2.0, 4.0, 3.0], [2.0, -2.5, 2.5], [-1.0, -4.0, 2.0], [-1.111, -2.121, 2.626]];
+    let camera = Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], 45.0).expect("a valid camera");
     let scene = Scene::new(camera)
         .with_background([0.078, 0.361, 0.753])
-        .with_lights(positions.map(|position| Light::point(position, [0.35; 3])));
+        .with_lights(Gears::LAMPS.map(|position| Light::point(position, [0.35; 3])));
     let budget = MemoryBudget::new(Bytes::mib(256));
-    let source = Arc::new(MemorySource::new(compiled(2)).expect("a whole file"));
+    let gears = Gears::new(2).expect("n is small");
+    let source =
+        Arc::new(MemorySource::new(compiled(&gears, &CompileOptions::default())).expect("a whole file"));
     let options = OctreeOptions { slots_max: Some(256), ..OctreeOptions::default() };
     let octree = LazyOctree::open(source, &budget, options).expect("the budget is ample");
     let all: EffectSet = Effect::ALL.into_iter().collect();

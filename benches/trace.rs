@@ -1,36 +1,35 @@
 //! Queries of the gears: camera rays, shadow rays and bounces over resident blocks, and what loading a block costs.
 
+#[path = "../tests/support/compiled.rs"]
+mod compiled;
+#[path = "support/rays.rs"]
+mod rays;
+
 use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
+use compiled::compiled;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use outcrop::compile::{CompileOptions, Compiler, Control};
+use outcrop::compile::CompileOptions;
 use outcrop::geom::Ray;
 use outcrop::octree::{LeafLayout, OctreeOptions, Tier};
-use outcrop::procedural::{Gears, Shape};
+use outcrop::procedural::Gears;
 use outcrop::source::MemorySource;
 use outcrop::trace::{Crossing, Hit, Occlusion, Tracer};
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
+use rays::camera_ray;
+use rays::numbers::{dot, unit};
 
 /// Rays per axis of the camera's square.
 const SIDE: u32 = 256;
-const EYE: [f64; 3] = [-1.1, -2.1, 2.6];
 const LIGHT: [f64; 3] = [2.0, 4.0, 4.0];
 
-/// The compiled gears scene with eight wheels, 219,744 triangles.
-fn compiled() -> Arc<MemorySource> {
-    let directory = tempfile::tempdir().expect("a temporary directory");
-    let path = directory.path().join("gears.outcrop");
-    let budget = MemoryBudget::new(Bytes::mib(256));
-    let mut progress = |_| Control::Continue;
-    let mut compiler =
-        Compiler::new(&path, CompileOptions::default(), &budget, &mut progress).expect("the budget is ample");
-    Gears::new(2).expect("n is small").emit(&mut compiler).expect("the gears compile");
-    compiler.finish().expect("the gears compile");
-    let bytes = std::fs::read(&path).expect("the file was just written");
-    Arc::new(MemorySource::new(bytes).expect("a whole file"))
+/// The gears with eight wheels, 219,744 triangles.
+fn gears() -> Arc<MemorySource> {
+    let gears = Gears::new(2).expect("n is small");
+    Arc::new(MemorySource::new(compiled(&gears, &CompileOptions::default())).expect("a whole file"))
 }
 
 fn open(source: &Arc<MemorySource>, options: OctreeOptions) -> LazyOctree {
@@ -38,27 +37,9 @@ fn open(source: &Arc<MemorySource>, options: OctreeOptions) -> LazyOctree {
     LazyOctree::open(source, &MemoryBudget::new(Bytes::mib(512)), options).expect("the budget is ample")
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn unit(a: [f64; 3]) -> [f64; 3] {
-    a.map(|x| x / dot(a, a).sqrt())
-}
-
 /// The standard view, row by row.
 fn camera_rays() -> Vec<Ray> {
-    let forward = unit(EYE.map(|x| -x));
-    let right = unit(cross(forward, [0.0, 0.0, 1.0]));
-    let up = cross(right, forward);
-    let half = 22.5f64.to_radians().tan();
-    let place = |i: u32| half * (2.0 * (f64::from(i) + 0.5) / f64::from(SIDE) - 1.0);
-    let ray = |x, y| Ray::new(EYE, [0, 1, 2].map(|axis| forward[axis] + x * right[axis] - y * up[axis]));
-    (0..SIDE * SIDE).map(|i| ray(place(i % SIDE), place(i / SIDE))).collect()
+    (0..SIDE * SIDE).map(|i| camera_ray([i % SIDE, i / SIDE], SIDE)).collect()
 }
 
 /// From each hit to the light.
@@ -99,7 +80,7 @@ fn closest(tracer: &mut Tracer<'_>, rays: &[Ray], hits: &mut Vec<Option<Hit>>) {
 }
 
 fn queries(criterion: &mut Criterion) {
-    let source = compiled();
+    let source = gears();
     let camera = camera_rays();
     let certified = open(&source, OctreeOptions::default());
     let mut hits = Vec::new();
@@ -160,7 +141,7 @@ fn queries(criterion: &mut Criterion) {
 
 /// Reading, decoding and building: the first ray into a block of an octree with one slot.
 fn loads(criterion: &mut Criterion) {
-    let source = compiled();
+    let source = gears();
     let mut group = criterion.benchmark_group("trace/load");
     for layout in [LeafLayout::Expanded, LeafLayout::Indexed] {
         let options = OctreeOptions { leaf_layout: layout, slots_max: Some(1), ..OctreeOptions::default() };
@@ -189,7 +170,7 @@ fn loads(criterion: &mut Criterion) {
 
 /// All hits of camera rays: one query after the other for the next hit, in one traversal, and without the doubles at edges.
 fn all_hits(criterion: &mut Criterion) {
-    let source = compiled();
+    let source = gears();
     let camera = camera_rays();
     let rays: Vec<Ray> = camera.iter().step_by(4).copied().collect();
     let octree = open(&source, OctreeOptions::default());

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use common::arguments::{self, Argument, Arguments};
+use common::arguments::{self, Arguments};
 use outcrop::procedural::export::{write_obj, write_ply};
 use outcrop::procedural::{Gears, Shape, Tessellation};
 
@@ -28,22 +28,17 @@ fn main() -> ExitCode {
 
 fn gears(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
     let (mut n, mut tessellation, mut materials, mut output) = (1, Tessellation::STANDARD, false, None);
-    while let Some(argument) = arguments.next()? {
-        match argument {
-            Argument::Option(name) => match name.as_str() {
-                "--n" => n = arguments.value()?,
-                "--tessellation" => tessellation = Tessellation::new(arguments.value()?)?,
-                "--materials" => materials = true,
-                "-o" | "--output" => output = Some(arguments.path()?),
-                "-h" | "--help" => {
-                    print!("{HELP}");
-                    return Ok(ExitCode::SUCCESS);
-                }
-                _ => return Err(format!("{name}: no such option; --help lists them").into()),
-            },
-            Argument::Positional(value) => {
-                return Err(format!("{}: unexpected; --help tells what is", value.display()).into());
+    while let Some(name) = arguments.option()? {
+        match name.as_str() {
+            "--n" => n = arguments.value()?,
+            "--tessellation" => tessellation = Tessellation::new(arguments.value()?)?,
+            "--materials" => materials = true,
+            "-o" | "--output" => output = Some(arguments.path()?),
+            "-h" | "--help" => {
+                print!("{HELP}");
+                return Ok(ExitCode::SUCCESS);
             }
+            _ => return Err(arguments.unknown()),
         }
     }
     let shape = Gears::with_tessellation(n, tessellation)?;

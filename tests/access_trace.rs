@@ -26,12 +26,12 @@ use outcrop::trace::Occlusion;
 use outcrop::units::{BlockId, Bytes};
 use outcrop::{BlockSource, MemoryBudget};
 use proptest::prelude::*;
-use support::Random;
+use support::numbers::Random;
 
 /// A trace with all that the format has: two streams, both kinds, empty queries, repetitions, more than one chunk.
 fn sample(queries: usize) -> (Vec<u8>, Vec<Query>) {
     let mut random = Random(7);
-    let mut any = move |count: u64| (random.next() % count) as u32;
+    let mut any = move |count: u64| (random.bits() % count) as u32;
     let mut queries: Vec<_> = (0..queries)
         .map(|_| {
             let kind = if any(3) == 0 { QueryKind::Occlusion } else { QueryKind::Closest };

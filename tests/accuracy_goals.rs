@@ -1,14 +1,18 @@
 //! Pictures to a goal: the goal is met or said not to be, what is claimed holds against a reference, and recorded knobs give the same
 //! picture again.
 
+#[path = "support/compiled.rs"]
+mod compiled;
+
 use std::sync::Arc;
 use std::time::Duration;
 
+use compiled::compiled;
 use outcrop::accuracy::{
     Certificate, Goal, GoalImage, GoalOptions, Knobs, Metric, Sampling, Verdict, render_to_goal,
     render_with_knobs,
 };
-use outcrop::compile::{CompileOptions, Compiler, Control, PrecisionChoice, Threads};
+use outcrop::compile::{CompileOptions, Control, PrecisionChoice, Threads};
 use outcrop::error::RenderError;
 use outcrop::geom::Precision;
 use outcrop::octree::{OctreeOptions, Tier};
@@ -19,16 +23,9 @@ use outcrop::source::MemorySource;
 use outcrop::units::Bytes;
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 
-fn compiled(shape: &dyn Shape, precision: PrecisionChoice) -> Arc<dyn BlockSource> {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("shape.outcrop");
-    let budget = MemoryBudget::new(Bytes::mib(64));
-    let mut progress = |_| Control::Continue;
+fn source(shape: &dyn Shape, precision: PrecisionChoice) -> Arc<dyn BlockSource> {
     let options = CompileOptions { precision, block_bytes: 16 << 10, ..CompileOptions::default() };
-    let mut compiler = Compiler::new(&path, options, &budget, &mut progress).unwrap();
-    shape.emit(&mut compiler).unwrap();
-    compiler.finish().unwrap();
-    Arc::new(MemorySource::new(std::fs::read(&path).unwrap()).unwrap())
+    Arc::new(MemorySource::new(compiled(shape, &options)).unwrap())
 }
 
 /// Gears and a stack of glass.
@@ -39,13 +36,13 @@ fn still_life() -> (Arc<dyn BlockSource>, Scene) {
         0.3,
         [0.9, -0.9, 0.0],
     );
-    let camera = Camera::pinhole([-1.1, -2.1, 2.6], [0.0; 3], [0.0, 0.0, 1.0], 45.0).unwrap();
+    let camera = Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], 45.0).unwrap();
     let scene = Scene::new(camera)
         .with_background([0.1, 0.36, 0.75])
         .with_ambient([0.1; 3])
         .with_light(Light::point([2.0, -2.5, 2.5], [0.7; 3]))
         .with_light(Light::point([-2.0, 4.0, 3.0], [0.4; 3]));
-    (compiled(&shape, PrecisionChoice::Auto), scene)
+    (source(&shape, PrecisionChoice::Auto), scene)
 }
 
 fn open(source: &Arc<dyn BlockSource>, tier: Tier) -> (LazyOctree, MemoryBudget) {
@@ -131,7 +128,7 @@ fn error_goals_are_met_and_certificates_hold() {
 /// Small features everywhere: pixels look finished by chance, and the certificate must know.
 #[test]
 fn noise_does_not_fool_the_certificate() {
-    let source = compiled(&Terrain::new(150, 1).unwrap(), PrecisionChoice::Auto);
+    let source = source(&Terrain::new(150, 1).unwrap(), PrecisionChoice::Auto);
     let scene = Scene::automatic(&source.model().bounds, 1.2);
     let (octree, budget) = open(&source, Tier::Certified);
     let reference = reference(&octree, &budget, &scene);
@@ -151,7 +148,7 @@ fn noise_does_not_fool_the_certificate() {
 /// What is called met is met, and all three bounds hold, for one picture after the other; a single one may be lucky.
 #[test]
 fn bounds_hold_as_often_as_they_say() {
-    let source = compiled(&Terrain::new(300, 1).unwrap(), PrecisionChoice::Auto);
+    let source = source(&Terrain::new(300, 1).unwrap(), PrecisionChoice::Auto);
     let scene = Scene::automatic(&source.model().bounds, 1.2);
     let (octree, budget) = open(&source, Tier::Certified);
     let reference = reference(&octree, &budget, &scene);
@@ -208,7 +205,7 @@ fn what_the_clock_chose_is_recorded() {
 #[test]
 fn exact_cuts_nothing_and_wants_certain_hits() {
     let shape = Icosphere::new(1.0, [1e6, 0.0, 0.0], 3).unwrap();
-    let source = compiled(&shape, PrecisionChoice::Lattice { exponent: -10 });
+    let source = source(&shape, PrecisionChoice::Lattice { exponent: -10 });
     let camera = Camera::pinhole([1e6 + 4.0, 0.5, 0.3], [1e6, 0.0, 0.0], [0.0, 0.0, 1.0], 40.0).unwrap();
     let scene =
         Scene::new(camera).with_ambient([0.3; 3]).with_light(Light::directional([-1.0, 0.2, -0.4], [0.5; 3]));

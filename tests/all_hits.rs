@@ -20,7 +20,8 @@ use outcrop::source::MemorySource;
 use outcrop::trace::{Crossing, Hit, Tracer};
 use outcrop::units::{Bytes, TriangleId};
 use outcrop::{BlockSource, MemoryBudget};
-use support::{Random, Triangles, all_hits, compile};
+use support::numbers::Random;
+use support::{Triangles, all_hits, compile};
 
 fn open(source: &Arc<dyn BlockSource>, options: OctreeOptions) -> LazyOctree {
     LazyOctree::open(Arc::clone(source), &MemoryBudget::new(Bytes::mib(256)), options).unwrap()
@@ -76,7 +77,7 @@ fn layers(random: &mut Random, count: usize, repeats: usize) -> Triangles {
 
 fn rays_through(random: &mut Random, triangles: &Triangles, count: usize) -> Vec<Ray> {
     let mut ray = |index: usize| {
-        let target = triangles[random.below(triangles.len())][random.below(3)];
+        let target = triangles[random.index(triangles.len())][random.index(3)];
         let origin = [random.signed(), random.signed(), 3.0];
         let towards = match index % 3 {
             0 => [0, 1, 2].map(|axis| target[axis] - origin[axis]),
@@ -221,7 +222,7 @@ impl Closed {
     /// Lines through vertices, edges, the middle of edges and anything, from outside.
     fn rays(&self, random: &mut Random, count: usize) -> Vec<Ray> {
         let mut ray = |index: usize| {
-            let triangle = self.triangles[random.below(self.triangles.len())];
+            let triangle = self.triangles[random.index(self.triangles.len())];
             let (a, b) = (triangle[index % 3], triangle[(index + 1) % 3]);
             let along = 0.5 * (random.signed() + 1.0);
             let target = match index % 4 {
@@ -235,15 +236,15 @@ impl Closed {
                 // Straight through the target, with no rounding: edges and vertices are met exactly.
                 0..=2 => {
                     let mut direction = [0.0; 3];
-                    direction[axis] = if random.next() & 1 == 0 { 1.0 } else { -1.0 };
+                    direction[axis] = if random.bits() & 1 == 0 { 1.0 } else { -1.0 };
                     direction
                 }
                 // Through a second vertex.
                 3 => {
-                    let other = self.triangles[random.below(self.triangles.len())][0];
+                    let other = self.triangles[random.index(self.triangles.len())][0];
                     [0, 1, 2].map(|axis| other[axis] - target[axis])
                 }
-                _ => random.vector(),
+                _ => random.vector(1.0),
             };
             let length = direction.iter().map(|x: &f64| x * x).sum::<f64>().sqrt();
             if length == 0.0 {

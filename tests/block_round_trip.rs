@@ -1,7 +1,11 @@
 //! What goes into a block comes out of it, bit for bit: every codec, precision and block size, and inputs at the limits.
 
+#[path = "support/numbers.rs"]
+mod numbers;
+
 use std::collections::HashMap;
 
+use numbers::Random;
 use outcrop::block::{
     BlockCheck, BlockData, BlockInput, BlockLimits, Codec, DecodeScratch, EncodeScratch, VertexInput,
     checksum, decode, encode, is_wide,
@@ -136,13 +140,10 @@ fn blocks() -> impl Strategy<Value = (Block, u32)> {
         prop::collection::vec(prop::array::uniform3(float()), 2000).prop_map(Vertices::Float32),
         Just(Vertices::Float32(vec![[-0.0, 1e-42, 7.5]; 2000])),
         (-210i32..210, 0u32..53, 0u32..53, any::<u64>()).prop_map(|(exponent, place, size, seed)| {
-            let mut state = seed;
-            let mut random = move |bits: u32| {
-                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                ((state >> 11) & ((1 << bits) - 1)) as i64 - (1 << bits) / 2
-            };
-            let base = [random(place), random(place), random(place)];
-            let vertices = (0..2000).map(|_| base.map(|x| (x + random(size)).clamp(-(1 << 52), 1 << 52)));
+            let mut random = Random(seed);
+            let mut any = |bits: u32| random.below(1 << bits) as i64 - (1 << bits) / 2;
+            let base = [any(place), any(place), any(place)];
+            let vertices = (0..2000).map(|_| base.map(|x| (x + any(size)).clamp(-(1 << 52), 1 << 52)));
             let exponent = exponent.clamp(Lattice::EXPONENT_MIN, Lattice::EXPONENT_MAX);
             Vertices::Lattice(exponent, vertices.collect())
         }),
@@ -219,13 +220,9 @@ fn the_largest_blocks() {
         let mut triangles: Vec<[u16; 3]> =
             (0..vertex_count as u16 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
         let vertex_count = 3 * triangles.len();
-        let mut state = 1u32;
-        let mut random = |below: usize| {
-            state = state.wrapping_mul(1664525).wrapping_add(1013904223);
-            ((state >> 8) as usize % below) as u16
-        };
+        let mut random = Random(1);
         while triangles.len() < count {
-            triangles.push([random(vertex_count), random(vertex_count), random(vertex_count)]);
+            triangles.push([(); 3].map(|()| random.index(vertex_count) as u16));
         }
         let coordinate =
             |i: usize, axis: u32| f32::from_bits(((i as u32).wrapping_mul(2654435761) >> axis) & 0xbf7f_ffff);

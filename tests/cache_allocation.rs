@@ -1,67 +1,18 @@
 //! After start-up the cache allocates nothing, and its slots cost no memory until they are used. In a binary of its
 //! own because it replaces the global allocator.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+#[path = "support/counting_allocator.rs"]
+mod counting_allocator;
+
 use std::sync::Barrier;
 use std::thread;
 use std::time::Duration;
 
+use counting_allocator::calls;
 use outcrop::MemoryBudget;
 use outcrop::cache::{GeometryCache, Lru, SlotCache};
 use outcrop::error::LoadError;
 use outcrop::units::{BlockId, Bytes};
-
-/// Counts the calls of each thread.
-struct Counting;
-
-thread_local! {
-    static CALLS: Cell<u64> = const { Cell::new(0) };
-}
-
-fn count() {
-    CALLS.set(CALLS.get() + 1);
-}
-
-// SAFETY: every method passes its arguments on to the system's allocator, which keeps the contract.
-unsafe impl GlobalAlloc for Counting {
-    // SAFETY: the caller owes what `System` asks for.
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: as above.
-        unsafe { System.alloc(layout) }
-    }
-
-    // SAFETY: the caller owes what `System` asks for.
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: as above.
-        unsafe { System.alloc_zeroed(layout) }
-    }
-
-    // SAFETY: the caller owes what `System` asks for.
-    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        count();
-        // SAFETY: as above.
-        unsafe { System.realloc(memory, layout, new_size) }
-    }
-
-    // SAFETY: the caller owes what `System` asks for.
-    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        // SAFETY: as above.
-        unsafe { System.dealloc(memory, layout) };
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// Allocator calls of this thread inside `work`.
-fn calls(work: impl FnOnce()) -> u64 {
-    let before = CALLS.get();
-    work();
-    CALLS.get() - before
-}
 
 /// Every way through the cache: hits, misses in free slots and with evictions, fills that fail, no slot, pins of
 /// absent blocks.
@@ -80,11 +31,6 @@ fn use_everything(cache: &SlotCache, rounds: u32) {
             assert!(cache.try_pin(BlockId(24)).is_none());
         }
     }
-}
-
-#[test]
-fn the_counter_counts() {
-    assert_eq!(calls(|| drop(std::hint::black_box(Box::new(5)))), 1);
 }
 
 #[test]

@@ -2,8 +2,11 @@
 
 #[path = "support/compiling.rs"]
 mod compiling;
+#[path = "support/numbers.rs"]
+mod numbers;
 
 use compiling::{Mesh, Vertices, assert_same, compile, read_back};
+use numbers::Random;
 use outcrop::block::Codec;
 use outcrop::compile::{CompileOptions, Threads};
 use outcrop::procedural::{Gears, Needles, Soup, Tessellation, TorusField};
@@ -153,12 +156,8 @@ fn hard_distributions() {
 #[test]
 fn skewed_geometry_is_parted_again() {
     // 300,000 triangles in one cell of the grid: an outlier makes it coarse.
-    let mut state = 1_u32;
-    let mut random = || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 8) as f32 / 16_777_216.0
-    };
-    let mut vertices: Vec<[f32; 3]> = (0..1000).map(|_| [random(), random(), random()]).collect();
+    let mut random = Random(1);
+    let mut vertices: Vec<[f32; 3]> = (0..1000).map(|_| [(); 3].map(|()| random.unit() as f32)).collect();
     vertices.push([1e9; 3]);
     let triangles: Vec<[u32; 3]> =
         (0..300_000_u32).map(|i| [i % 1000, (i / 7) % 1000, i.wrapping_mul(31) % 1001]).collect();
@@ -209,18 +208,14 @@ proptest! {
         threads in 1..3_usize,
         block_bytes in prop_oneof![Just(4_u32 << 10), Just(64 << 10)],
     ) {
-        let mut state = seed | 1;
-        let mut random = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as u32
-        };
+        let mut random = Random(seed);
         let vertices = (0..vertex_count)
-            .map(|_| scales.map(|scale| (random() as f32 / 1e9 - 1.0) * (scale as f32).exp2()))
+            .map(|_| scales.map(|scale| random.signed() as f32 * (scale as f32).exp2()))
             .collect();
         let triangles: Vec<[u32; 3]> =
-            (0..triangle_count).map(|_| [0; 3].map(|_| random() % vertex_count as u32)).collect();
+            (0..triangle_count).map(|_| [0; 3].map(|_| random.index(vertex_count) as u32)).collect();
         let mut mesh = Mesh::new(Vertices::Float32(vertices), triangles);
-        mesh.materials = (0..triangle_count).map(|_| random() as u16 % material_count).collect();
+        mesh.materials = (0..triangle_count).map(|_| random.below(material_count.into()) as u16).collect();
         // All materials are known to the sink even if the last ones are unused.
         (mesh.complete_first, mesh.batch) = (complete_first, batch);
         let threads = if threads == 1 { Threads::One } else { Threads::Count(threads) };

@@ -1,5 +1,9 @@
 //! Damaged bytes give typed errors: never a panic, never wrong geometry that was not asked for (I5).
 
+#[path = "support/numbers.rs"]
+mod numbers;
+
+use numbers::Random;
 use outcrop::BlockSource;
 use outcrop::block::{BlockCheck, BlockData, BlockLimits, Codec, DecodeScratch, checksum, decode};
 use outcrop::error::{BlockError, ModelError, SourceError};
@@ -29,21 +33,6 @@ fn file(count: u32, codec: Codec, precision: Precision) -> Vec<u8> {
 
 fn codecs() -> impl Iterator<Item = Codec> {
     Codec::ALL.into_iter().filter(|codec| codec.is_available())
-}
-
-/// A stream of numbers that is the same in every run.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, count: usize) -> usize {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        ((self.0 >> 33) % count as u64) as usize
-    }
-
-    fn flip(&mut self, bytes: &mut [u8]) {
-        let bit = self.below(8 * bytes.len());
-        bytes[bit / 8] ^= 1 << (bit % 8);
-    }
 }
 
 struct Decoder {
@@ -181,8 +170,8 @@ fn random_bytes_behind_a_good_header_are_no_reason_to_panic() {
         for codec in codecs() {
             let (mut bytes, check) = first_block(&file(60, codec, precision));
             for _ in 0..3_000 {
-                let from = 64 + random.below(bytes.len() - 64);
-                bytes[from..].iter_mut().for_each(|byte| *byte = random.below(256) as u8);
+                let from = 64 + random.index(bytes.len() - 64);
+                bytes[from..].iter_mut().for_each(|byte| *byte = random.index(256) as u8);
                 let check = BlockCheck { checksum: checksum(&bytes), ..check };
                 if let Ok(data) = decoder.decode(&bytes, &check) {
                     is_sound(data, &check);
@@ -279,7 +268,7 @@ fn flipped_bits_under_good_checksums_are_errors_or_sound_models() {
         for round in 0..10_000 {
             damaged.copy_from_slice(&file);
             for _ in 0..1 + round % 2 {
-                match random.below(2) {
+                match random.index(2) {
                     0 => random.flip(&mut damaged[..HEADER_BYTES]),
                     _ => random.flip(&mut damaged[blocks_end..]),
                 }

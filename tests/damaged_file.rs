@@ -1,9 +1,16 @@
 //! I5 from end to end: a compiled file that is cut off or has bits flipped gives a typed error or the same hits, never a
 //! panic and never a wrong hit.
 
+#[path = "support/compiled.rs"]
+mod compiled;
+#[path = "support/numbers.rs"]
+mod numbers;
+
 use std::sync::Arc;
 
-use outcrop::compile::{CompileOptions, Compiler, Control};
+use compiled::compiled;
+use numbers::Random;
+use outcrop::compile::CompileOptions;
 use outcrop::error::Error;
 use outcrop::geom::Ray;
 use outcrop::octree::OctreeOptions;
@@ -12,17 +19,6 @@ use outcrop::source::MemorySource;
 use outcrop::trace::Hit;
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
-
-fn compiled(shape: &dyn Shape) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("model.outcrop");
-    let options = CompileOptions { block_bytes: 4096, ..CompileOptions::default() };
-    let mut go_on = |_| Control::Continue;
-    let mut compiler = Compiler::new(&path, options, &MemoryBudget::new(Bytes::mib(64)), &mut go_on).unwrap();
-    shape.emit(&mut compiler).unwrap();
-    compiler.finish().unwrap();
-    std::fs::read(path).unwrap()
-}
 
 /// Rays through all of the models below, so that every block is read.
 fn rays() -> Vec<Ray> {
@@ -50,7 +46,10 @@ fn traced(file: Vec<u8>) -> Result<(Vec<Option<Hit>>, u64), Error> {
 }
 
 fn models() -> [Vec<u8>; 2] {
-    [compiled(&GlassStack::new(12, 0.3, 0.5, 1.5).unwrap()), compiled(&Soup::new(600, 0.3, 4).unwrap())]
+    let options = CompileOptions { block_bytes: 4096, ..CompileOptions::default() };
+    let shapes: [&dyn Shape; 2] =
+        [&GlassStack::new(12, 0.3, 0.5, 1.5).unwrap(), &Soup::new(600, 0.3, 4).unwrap()];
+    shapes.map(|shape| compiled(shape, &options))
 }
 
 #[test]
@@ -65,16 +64,8 @@ fn every_truncation_is_an_error() {
     }
 }
 
-/// SplitMix64.
-fn random(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let z = (*state ^ (*state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
-
 fn flip_bits(count: u64, seed: u64) {
-    let mut state = seed;
+    let mut random = Random(seed);
     for file in models() {
         let (expected, touched) = traced(file.clone()).unwrap();
         assert!(touched >= 1 && expected.iter().flatten().count() > 20);
@@ -82,9 +73,8 @@ fn flip_bits(count: u64, seed: u64) {
         for _ in 0..count / 2 {
             let mut damaged = file.clone();
             // One bit, or a few.
-            for _ in 0..=random(&mut state) % 3 {
-                let bit = random(&mut state) % (8 * file.len() as u64);
-                damaged[(bit / 8) as usize] ^= 1 << (bit % 8);
+            for _ in 0..=random.below(3) {
+                random.flip(&mut damaged);
             }
             match traced(damaged) {
                 Ok((hits, _)) => assert!(hits == expected, "a damaged file gave other hits"),

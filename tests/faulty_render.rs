@@ -1,12 +1,16 @@
 //! A source that fails in the middle of a render ends it with an error that names the block: never a hole in the image,
 //! never a panic, and the octree is as good as before.
 
+#[path = "support/compiled.rs"]
+mod compiled;
+
 use std::sync::Arc;
 
-use outcrop::compile::{CompileOptions, Compiler, Control, Threads};
+use compiled::compiled;
+use outcrop::compile::{CompileOptions, Control, Threads};
 use outcrop::error::{LoadError, RenderError, TraceError};
 use outcrop::octree::OctreeOptions;
-use outcrop::procedural::{Gears, Shape, Tessellation};
+use outcrop::procedural::{Gears, Tessellation};
 use outcrop::render::{RenderSettings, Renderer};
 use outcrop::scene::Scene;
 use outcrop::source::testing::{FaultRates, FaultySource};
@@ -14,16 +18,10 @@ use outcrop::source::{BlockSource, MemorySource};
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
 
-fn compiled() -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("gears.outcrop");
+/// Toothed wheels in small blocks.
+fn gears() -> Vec<u8> {
     let options = CompileOptions { block_bytes: 8192, ..CompileOptions::default() };
-    let mut go_on = |_| Control::Continue;
-    let mut compiler = Compiler::new(&path, options, &MemoryBudget::new(Bytes::mib(64)), &mut go_on).unwrap();
-    let gears = Gears::with_tessellation(1, Tessellation::new(12).unwrap()).unwrap();
-    gears.emit(&mut compiler).unwrap();
-    compiler.finish().unwrap();
-    std::fs::read(path).unwrap()
+    compiled(&Gears::with_tessellation(1, Tessellation::new(12).unwrap()).unwrap(), &options)
 }
 
 struct Picture {
@@ -48,7 +46,7 @@ fn rendered(source: Arc<dyn BlockSource>, threads: &Threads) -> [Result<Picture,
 
 #[test]
 fn a_bad_block_ends_the_render_with_an_error_and_not_with_a_hole() {
-    let file = compiled();
+    let file = gears();
     let source = || MemorySource::new(file.clone()).unwrap();
     let [reference, again] = rendered(Arc::new(source()), &Threads::One).map(Result::unwrap);
     assert!(reference.pixels == again.pixels);

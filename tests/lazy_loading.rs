@@ -18,7 +18,8 @@ use outcrop::source::MemorySource;
 use outcrop::trace::Occlusion;
 use outcrop::units::{BlockId, Bytes};
 use outcrop::{BlockSource, MemoryBudget};
-use support::Random;
+use support::may_meet;
+use support::numbers::Random;
 
 /// Notes which blocks are read.
 struct Recording {
@@ -61,31 +62,13 @@ fn open(source: &Arc<Recording>, slots_max: Option<u32>) -> LazyOctree {
     LazyOctree::open(source, &MemoryBudget::new(Bytes::mib(256)), options).unwrap()
 }
 
-/// Whether the ray meets the box, widened by far more than the rounding of the octree's own test.
-fn may_meet(ray: &Ray, bounds: &Aabb) -> bool {
-    let (mut near, mut far) = (ray.t_min, ray.t_max);
-    for axis in 0..3 {
-        let (low, high) = (bounds.min[axis] - 1e-5, bounds.max[axis] + 1e-5);
-        let (origin, direction) = (ray.origin[axis], ray.direction[axis]);
-        if direction == 0.0 {
-            if origin < low || origin > high {
-                return false;
-            }
-        } else {
-            let (a, b) = ((low - origin) / direction, (high - origin) / direction);
-            near = near.max(a.min(b));
-            far = far.min(a.max(b));
-        }
-    }
-    near <= far
-}
-
 /// The blocks of which some ray may meet a sub-box.
 fn reachable(model: &Model, rays: &[Ray]) -> Vec<u32> {
     let is_met = |index: &u32| {
         let entry = &model.blocks[*index as usize];
         let boxes: Vec<Aabb> = entry.sub_boxes().collect();
-        rays.iter().any(|ray| may_meet(ray, &entry.bounds) && boxes.iter().any(|part| may_meet(ray, part)))
+        let meets = |ray: &Ray, part: &Aabb| may_meet(ray, part, 1e-5);
+        rays.iter().any(|ray| meets(ray, &entry.bounds) && boxes.iter().any(|part| meets(ray, part)))
     };
     (0..model.blocks.len() as u32).filter(is_met).collect()
 }

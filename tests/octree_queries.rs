@@ -10,7 +10,8 @@ use outcrop::simd::SimdLevel;
 use outcrop::trace::{MaterialSet, Occlusion, Tracer};
 use outcrop::units::{Bytes, MaterialId, TriangleId};
 use outcrop::{BlockSource, MemoryBudget};
-use support::{MATERIALS, Random, Triangles, all_hits, compile};
+use support::numbers::Random;
+use support::{MATERIALS, Triangles, all_hits, compile};
 
 /// Rounds to f32, so that `Float32` files hold the positions exactly.
 fn round(triangles: Triangles) -> Triangles {
@@ -19,9 +20,9 @@ fn round(triangles: Triangles) -> Triangles {
 
 fn soup(random: &mut Random, count: usize, size: f64, scale: f64, shift: [f64; 3]) -> Triangles {
     let triangles = (0..count).map(|_| {
-        let center = random.vector();
+        let center = random.vector(1.0);
         let mut corner = || {
-            let offset = random.vector();
+            let offset = random.vector(1.0);
             [0, 1, 2].map(|axis| scale * (center[axis] + size * offset[axis]) + shift[axis])
         };
         [corner(), corner(), corner()]
@@ -43,12 +44,12 @@ fn rays(random: &mut Random, triangles: &Triangles, count: usize) -> Vec<Ray> {
     let size = if size == 0.0 { 1.0 } else { size };
     (0..count)
         .map(|i| {
-            let v = random.vector();
+            let v = random.vector(1.0);
             let origin = [0, 1, 2].map(|axis| 0.5 * (low[axis] + high[axis]) + size * v[axis]);
-            let triangle = triangles[random.below(triangles.len())];
-            let corner = triangle[random.below(3)];
+            let triangle = triangles[random.index(triangles.len())];
+            let corner = triangle[random.index(3)];
             let mut direction = match i % 5 {
-                0 => random.vector(),
+                0 => random.vector(1.0),
                 1 => [0, 1, 2].map(|axis| corner[axis] - origin[axis]),
                 2 => {
                     let t = 0.5 * (random.signed() + 1.0);
@@ -58,10 +59,10 @@ fn rays(random: &mut Random, triangles: &Triangles, count: usize) -> Vec<Ray> {
                 }
                 3 => {
                     let mut axis_aligned = [0.0; 3];
-                    axis_aligned[random.below(3)] = if random.next() & 1 == 0 { 1.0 } else { -1.0 };
+                    axis_aligned[random.index(3)] = if random.bits() & 1 == 0 { 1.0 } else { -1.0 };
                     axis_aligned
                 }
-                _ => random.vector(),
+                _ => random.vector(1.0),
             };
             if direction == [0.0; 3] {
                 direction = [1.0, 0.0, 0.0];
@@ -79,6 +80,31 @@ fn rays(random: &mut Random, triangles: &Triangles, count: usize) -> Vec<Ray> {
             ray
         })
         .collect()
+}
+
+/// Eight rays around each of `rays`, which go much the same way, as a camera's do or a lamp's: from one point or side by side, of
+/// different lengths.
+fn bundles(random: &mut Random, rays: &[Ray]) -> Vec<Ray> {
+    let mut bundles = Vec::new();
+    for (i, ray) in rays.iter().enumerate() {
+        let size = ray.direction.iter().fold(0.0f64, |size, x| size.max(x.abs()));
+        for lane in 0..8 {
+            let mut near = *ray;
+            // The first of some is the ray itself, which may be along an axis.
+            if lane > 0 || i % 3 > 0 {
+                let (v, w) = (random.vector(1.0), random.vector(1.0));
+                near.direction = [0, 1, 2].map(|axis| ray.direction[axis] + 0.04 * size * v[axis]);
+                if i % 2 == 0 {
+                    near.origin = [0, 1, 2].map(|axis| ray.origin[axis] + 0.004 * size * w[axis]);
+                }
+            }
+            if (i + lane) % 4 == 0 {
+                (near.t_min, near.t_max) = (0.1 + 0.1 * random.signed(), 1.0 + 0.3 * random.signed());
+            }
+            bundles.push(near);
+        }
+    }
+    bundles
 }
 
 /// Compares every query with brute force.
@@ -128,6 +154,7 @@ fn check(tracer: &mut Tracer<'_>, triangles: &Triangles, rays: &[Ray]) {
 
 /// All combinations that may not change a hit.
 fn check_everywhere(triangles: &Triangles, precision: Precision, rays: &[Ray]) {
+    let bundles = bundles(&mut Random(rays.len() as u64), &rays[..rays.len() / 8]);
     for (partition, block_triangles) in [1300, 40, 7, 1].into_iter().enumerate() {
         if block_triangles == 1 && triangles.len() > 200 {
             continue;
@@ -154,6 +181,7 @@ fn check_everywhere(triangles: &Triangles, precision: Precision, rays: &[Ray]) {
             // The slow combinations see fewer rays.
             let share = if slots_max.is_some() || simd == SimdLevel::Portable { 4 } else { 1 };
             check(&mut tracer, triangles, &rays[..rays.len() / share]);
+            check(&mut tracer, triangles, &bundles[..bundles.len() / 8 / share * 8]);
         }
     }
 }
@@ -261,9 +289,9 @@ fn lattice_models_far_out_and_wide() {
         let lattice = outcrop::geom::Lattice { exponent };
         let mut triangles = Triangles::new();
         for _ in 0..150 {
-            let center = random.vector();
+            let center = random.vector(1.0);
             let mut corner = || {
-                let offset = random.vector();
+                let offset = random.vector(1.0);
                 [0, 1, 2].map(|axis| {
                     let x = shift + extent * (center[axis] + 0.3 * offset[axis]);
                     lattice.position(lattice.quantize(x).unwrap())
@@ -283,7 +311,7 @@ fn rays_from_far_away_and_of_any_length() {
     let mut far = Vec::new();
     for distance in [1e2, 1e6, 1e12, 1e30, 1e60] {
         for _ in 0..20 {
-            let (toward, target) = (random.vector(), triangles[random.below(300)][random.below(3)]);
+            let (toward, target) = (random.vector(1.0), triangles[random.index(300)][random.index(3)]);
             let origin = [0, 1, 2].map(|axis| target[axis] - distance * toward[axis]);
             far.push(Ray::new(origin, toward));
             let mut short = Ray::new(origin, toward);

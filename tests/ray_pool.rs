@@ -17,12 +17,13 @@ use outcrop::trace::{
 use outcrop::units::{Bytes, MaterialId, TriangleId};
 use outcrop::{BlockSource, MemoryBudget};
 use proptest::prelude::*;
-use support::{Random, Triangles, compile};
+use support::numbers::Random;
+use support::{Triangles, compile};
 
 /// A cloud of small triangles on a grid of positions, so that hits coincide now and then.
 fn cloud(seed: u64, count: usize) -> Triangles {
     let mut random = Random(seed);
-    let mut grid = |scale: f64| random.vector().map(|x| (x * scale * 64.0).round() / 64.0);
+    let mut grid = |scale: f64| random.vector(1.0).map(|x| (x * scale * 64.0).round() / 64.0);
     (0..count)
         .map(|_| {
             let corner = grid(1.0);
@@ -64,14 +65,14 @@ fn asked(seed: u64, count: usize) -> Asked {
     let mut closest = Vec::new();
     let mut any = Vec::new();
     for tag in 0..count as u64 {
-        let origin = random.vector().map(|x| 2.0 * x);
-        let mut target = random.vector().map(|x| 0.8 * x);
-        if random.below(8) == 0 {
-            target[random.below(2)] = origin[0];
+        let origin = random.vector(1.0).map(|x| 2.0 * x);
+        let mut target = random.vector(1.0).map(|x| 0.8 * x);
+        if random.index(8) == 0 {
+            target[random.index(2)] = origin[0];
         }
         let direction = [0, 1, 2].map(|axis| target[axis] - origin[axis]);
         let ray = Ray { t_max: 0.5 + 2.0 * random.signed().abs(), ..Ray::new(origin, direction) };
-        let after = (random.below(3) == 0).then(|| (random.signed().abs(), TriangleId(random.next() % 600)));
+        let after = (random.index(3) == 0).then(|| (random.signed().abs(), TriangleId(random.bits() % 600)));
         closest.push(ClosestRequest { ray, after, tag });
         any.push(AnyRequest { ray, tag });
     }
@@ -107,18 +108,18 @@ fn by_pool(pool: &mut RayPool<'_>, asked: &Asked, seed: u64) -> Result<Found, Tr
     let (mut hits, mut occlusions) = (BTreeMap::new(), BTreeMap::new());
     let mut goes_on = true;
     while goes_on || !closest.is_empty() || !any.is_empty() {
-        let on_missing = match random.below(4) {
+        let on_missing = match random.index(4) {
             0 => OnMissing::Load,
             weight => OnMissing::Wait { weight: weight as u32 },
         };
-        match random.below(3) {
+        match random.index(3) {
             0 => {
-                let (now, later) = closest.split_at(closest.len().min(random.below(40)));
+                let (now, later) = closest.split_at(closest.len().min(random.index(40)));
                 pool.closest_hits(now, on_missing, &mut answers)?;
                 closest = later;
             }
             1 => {
-                let (now, later) = any.split_at(any.len().min(random.below(40)));
+                let (now, later) = any.split_at(any.len().min(random.index(40)));
                 pool.occluded(now, on_missing, &mut answers)?;
                 any = later;
             }

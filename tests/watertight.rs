@@ -17,7 +17,8 @@ use outcrop::source::MemorySource;
 use outcrop::trace::Occlusion;
 use outcrop::units::Bytes;
 use outcrop::{BlockSource, MemoryBudget};
-use support::{Random, Triangles};
+use support::Triangles;
+use support::numbers::Random;
 
 const RADIUS: f64 = 1000.0;
 /// How far from its target a hit may be, in distances from origin to target. A leak ends at the far side.
@@ -58,7 +59,7 @@ impl Sphere {
     /// From inside and outside in turn. From outside never at a grazing angle: past the silhouette a ray may miss.
     fn ray(&self, index: usize, target: [f64; 3], random: &mut Random) -> Ray {
         let outward = [0, 1, 2].map(|axis| (target[axis] - self.center[axis]) / RADIUS);
-        let sideways = random.vector();
+        let sideways = random.vector(1.0);
         let distance = RADIUS * (1.1 + random.signed());
         let origin = if index.is_multiple_of(2) {
             [0, 1, 2].map(|axis| self.center[axis] + 0.5 * RADIUS * sideways[axis])

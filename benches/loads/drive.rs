@@ -1,10 +1,13 @@
 //! A picture's rays, depth first through a tracer or through a pool.
 
 use outcrop::LazyOctree;
+use outcrop::procedural::Gears;
 use outcrop::stats::TraceCounters;
 use outcrop::trace::{Answers, AnyRequest, ClosestRequest, Hit, Occlusion, OnMissing, PoolOptions, RayPool};
 
-use crate::mixes::{LAMPS, Mix, camera_ray, mix, shadow_ray};
+use crate::mixes::{Mix, shadow_ray};
+use crate::rays::camera_ray;
+use crate::rays::numbers::mix;
 
 /// How rays are run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,15 +82,15 @@ pub fn run(octree: &LazyOctree, mix: Mix, side: u32, order: Order) -> Run {
 fn depth_first(octree: &LazyOctree, mix: Mix, side: u32) -> Run {
     let mut tracer = octree.tracer().expect("the budget is ample");
     let mut sum = 0u64;
-    let mut occlusions = [Occlusion::Clear; LAMPS.len()];
+    let mut occlusions = [Occlusion::Clear; Gears::LAMPS.len()];
     for index in 0..side * side {
         let (x, y) = pixel(index);
-        let (mut ray, mut depth) = (camera_ray(x, y, side), 0);
+        let (mut ray, mut depth) = (camera_ray([x, y], side), 0);
         loop {
             let hit = tracer.closest_hit(&ray).expect("the model is sound");
             sum = sum.wrapping_add(hit_sum(tag(index, depth, 7), &hit));
             let Some(hit) = hit else { break };
-            let shadows = LAMPS.map(|lamp| shadow_ray(&hit, lamp, 0).ray);
+            let shadows = Gears::LAMPS.map(|lamp| shadow_ray(&hit, lamp, 0).ray);
             tracer.occluded(&shadows, None, &mut occlusions).expect("the model is sound");
             for (lamp, occlusion) in (0..).zip(occlusions) {
                 sum = sum.wrapping_add(occlusion_sum(tag(index, depth, lamp), occlusion));
@@ -131,7 +134,7 @@ impl<'o> Driver<'o> {
             mix,
             side,
             on_missing,
-            answers: Answers::with_capacity(LAMPS.len() * RayPool::RESUMED_MAX),
+            answers: Answers::with_capacity(Gears::LAMPS.len() * RayPool::RESUMED_MAX),
             directions: vec![[0.0; 3]; (side * side) as usize],
             onward: Vec::new(),
             shadows: [Vec::new(), Vec::new()],
@@ -147,7 +150,7 @@ impl<'o> Driver<'o> {
                 let end = (next + BATCH).min(self.side * self.side);
                 for index in next..end {
                     let (x, y) = pixel(index);
-                    let ray = camera_ray(x, y, self.side);
+                    let ray = camera_ray([x, y], self.side);
                     self.directions[index as usize] = ray.direction;
                     self.onward.push(ClosestRequest { ray, after: None, tag: tag(index, 0, 7) });
                 }
@@ -175,7 +178,7 @@ impl<'o> Driver<'o> {
         for (tag, occlusion) in self.answers.occlusions.drain(..) {
             self.sum = self.sum.wrapping_add(occlusion_sum(tag, occlusion));
         }
-        for (lamp, position) in (0..).zip(LAMPS) {
+        for (lamp, position) in (0..).zip(Gears::LAMPS) {
             for (hit_tag, hit) in &self.answers.hits {
                 let (index, depth) = ((hit_tag >> 8) as u32, (*hit_tag as u32 & 0xff) >> 3);
                 if let Some(hit) = hit {

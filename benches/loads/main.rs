@@ -8,6 +8,8 @@
 
 mod drive;
 mod mixes;
+#[path = "../support/rays.rs"]
+mod rays;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,9 +17,9 @@ use std::time::Instant;
 
 use drive::{Order, Run, run};
 use mixes::Mix;
-use outcrop::compile::{CompileOptions, Compiler, Control, compile_file};
+use outcrop::compile::{CompileOptions, Control, compile_file, compile_shape};
 use outcrop::octree::OctreeOptions;
-use outcrop::procedural::{Gears, Shape};
+use outcrop::procedural::Gears;
 use outcrop::source::{BlockSource, DiskSource, PageCache};
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
@@ -81,20 +83,17 @@ fn list<T: std::str::FromStr>(text: &str) -> Result<Vec<T>, lexopt::Error> {
 /// The compiled file of a model; in `folder` if it was made here.
 fn compiled(model: &str, folder: &Path) -> PathBuf {
     let budget = MemoryBudget::new(Bytes::mib(512));
-    let mut progress = |_| Control::Continue;
+    let (options, go_on) = (CompileOptions::default(), &mut |_| Control::Continue);
     let path = folder.join("model.outcrop");
     if let Some(n) = model.strip_prefix("gears").and_then(|n| n.parse().ok()) {
-        let mut compiler =
-            Compiler::new(&path, CompileOptions::default(), &budget, &mut progress).expect("ample");
-        Gears::new(n).expect("a size that exists").emit(&mut compiler).expect("the gears compile");
-        compiler.finish().expect("the gears compile");
+        let gears = Gears::new(n).expect("a size that exists");
+        compile_shape(&gears, &path, &options, &budget, go_on).expect("the gears compile");
         return path;
     }
     if model.ends_with(".outcrop") {
         return PathBuf::from(model);
     }
-    compile_file(Path::new(model), &path, &CompileOptions::default(), &budget, &mut progress)
-        .expect("the model compiles");
+    compile_file(Path::new(model), &path, &options, &budget, go_on).expect("the model compiles");
     path
 }
 

@@ -4,7 +4,7 @@ use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 
-use outcrop::compile::{CompileOptions, Compiler, Control};
+use outcrop::compile::{CompileOptions, Control, compile_shape};
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Gears, Shape, TorusField};
 use outcrop::source::DiskSource;
@@ -37,10 +37,8 @@ impl Scene {
     pub fn open(&self, directory: &Path) -> Result<LazyOctree, Box<dyn Error>> {
         let compiled = directory.join("scene.outcrop");
         let budget = MemoryBudget::new(Bytes::mib(2048));
-        let mut progress = |_| Control::Continue;
-        let mut compiler = Compiler::new(&compiled, CompileOptions::default(), &budget, &mut progress)?;
-        self.shape.emit(&mut compiler)?;
-        compiler.finish()?;
+        let (options, go_on) = (CompileOptions::default(), &mut |_| Control::Continue);
+        compile_shape(&*self.shape, &compiled, &options, &budget, go_on)?;
         let source = Arc::new(DiskSource::open(&compiled)?);
         Ok(LazyOctree::open(source, &budget, OctreeOptions::default())?)
     }

@@ -14,7 +14,7 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use common::arguments::{self, Argument, Arguments};
+use common::arguments::{self, Arguments};
 use common::interrupt::Interrupt;
 use common::progress::Meter;
 
@@ -63,26 +63,23 @@ fn accuracy_cost(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
         threads: 2,
         quick: false,
     };
-    while let Some(argument) = arguments.next()? {
-        match argument {
-            Argument::Option(name) => match name.as_str() {
-                "--out" => options.out = arguments.path()?,
-                "--size" => options.size = arguments.value()?,
-                "--reference" => options.reference_samples = arguments.value()?,
-                "--reference-cut-off" => options.reference_cut_off = arguments.value()?,
-                "--repetitions" => options.repetitions = arguments.value()?,
-                "--threads" => options.threads = arguments.value()?,
-                "--quick" => {
-                    options.quick = true;
-                    (options.size, options.reference_samples, options.repetitions) = (48, 64, 1);
-                }
-                "-h" | "--help" => {
-                    print!("{HELP}");
-                    return Ok(ExitCode::SUCCESS);
-                }
-                _ => return Err(format!("{name}: no such option; --help lists them").into()),
-            },
-            Argument::Positional(value) => options.model = Some(value),
+    while let Some(name) = arguments.option_or_model(&mut options.model)? {
+        match name.as_str() {
+            "--out" => options.out = arguments.path()?,
+            "--size" => options.size = arguments.value()?,
+            "--reference" => options.reference_samples = arguments.value()?,
+            "--reference-cut-off" => options.reference_cut_off = arguments.value()?,
+            "--repetitions" => options.repetitions = arguments.value()?,
+            "--threads" => options.threads = arguments.value()?,
+            "--quick" => {
+                options.quick = true;
+                (options.size, options.reference_samples, options.repetitions) = (48, 64, 1);
+            }
+            "-h" | "--help" => {
+                print!("{HELP}");
+                return Ok(ExitCode::SUCCESS);
+            }
+            _ => return Err(arguments.unknown()),
         }
     }
     if !(1..=model::TRACERS_MAX as usize).contains(&options.threads) {

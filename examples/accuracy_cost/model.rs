@@ -4,9 +4,9 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use outcrop::compile::{CompileOptions, CompileReport, Compiler, Control, Threads, compile_file};
+use outcrop::compile::{CompileOptions, CompileReport, Control, Threads, compile_file, compile_shape};
 use outcrop::octree::{OctreeOptions, Tier};
-use outcrop::procedural::{Assembly, Gears, GlassStack, Icosphere, Shape};
+use outcrop::procedural::{Assembly, Gears, GlassStack, Icosphere};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::DiskSource;
 use outcrop::units::Bytes;
@@ -45,11 +45,7 @@ impl Model {
         let options = CompileOptions { threads: Threads::Count(2), ..options };
         let mut progress = |_| Control::Continue;
         match self {
-            Model::Made(shape) => {
-                let mut compiler = Compiler::new(path, options, &budget, &mut progress)?;
-                shape.emit(&mut compiler)?;
-                Ok(compiler.finish()?)
-            }
+            Model::Made(shape) => Ok(compile_shape(&**shape, path, &options, &budget, &mut progress)?),
             Model::File(file) => Ok(compile_file(file, path, &options, &budget, &mut progress)?),
         }
     }
@@ -57,13 +53,11 @@ impl Model {
     /// What is seen: the standard view of the gears, or the whole of a file.
     pub fn scene(&self, source: &dyn BlockSource) -> Result<Scene, Box<dyn Error>> {
         match self {
-            Model::Made(_) => {
-                Ok(Scene::new(Camera::pinhole([-1.1, -2.1, 2.6], [0.0; 3], [0.0, 0.0, 1.0], 45.0)?)
-                    .with_background([0.46, 0.58, 0.73])
-                    .with_ambient([0.1; 3])
-                    .with_light(Light::point([2.0, -2.5, 2.5], [0.6; 3]))
-                    .with_light(Light::point([-2.0, 4.0, 3.0], [0.4; 3])))
-            }
+            Model::Made(_) => Ok(Scene::new(Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], 45.0)?)
+                .with_background([0.46, 0.58, 0.73])
+                .with_ambient([0.1; 3])
+                .with_light(Light::point([2.0, -2.5, 2.5], [0.6; 3]))
+                .with_light(Light::point([-2.0, 4.0, 3.0], [0.4; 3]))),
             Model::File(_) => Ok(Scene::automatic(&source.model().bounds, 1.0)),
         }
     }

@@ -1,6 +1,6 @@
 //! A plot with logarithmic axes as SVG.
 
-use std::fmt::Write;
+use crate::common::svg::{Drawing, escape};
 
 /// Points of one kind.
 pub struct Series {
@@ -42,48 +42,20 @@ pub fn log_plot(title: &str, x_label: &str, y_label: &str, series: &[Series]) ->
     let x = |value: f64| left + width * (value.log10() - ends[0][0]) / (ends[0][1] - ends[0][0]);
     let y = |value: f64| top + height * (1.0 - (value.log10() - ends[1][0]) / (ends[1][1] - ends[1][0]));
 
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" font-family=\"sans-serif\" font-size=\"11\">\n\
-         <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n<text x=\"{left}\" y=\"18\" font-size=\"14\">{}</text>\n",
-        SIZE[0],
-        SIZE[1],
-        escape(title)
-    );
-    let mut element = |text: std::fmt::Arguments<'_>| {
-        // Writing to a String cannot fail.
-        let _ = writeln!(svg, "{text}");
-    };
+    let mut drawing = Drawing::new(SIZE, 11);
+    drawing.text([left, 18.0], "font-size=\"14\"", title);
     for tick in ticks(ends[0]) {
         let at = x(tick);
-        element(format_args!("<path d=\"M{at:.1} {top}V{:.1}\" stroke=\"#e4e4e4\"/>", top + height));
-        element(format_args!(
-            "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-            top + height + 16.0,
-            number(tick)
-        ));
+        drawing.element(format_args!("<path d=\"M{at:.1} {top}V{:.1}\" stroke=\"#e4e4e4\"/>", top + height));
+        drawing.text([at, top + height + 16.0], "text-anchor=\"middle\"", &number(tick));
     }
     for tick in ticks(ends[1]) {
         let at = y(tick);
-        element(format_args!("<path d=\"M{left} {at:.1}H{:.1}\" stroke=\"#e4e4e4\"/>", left + width));
-        element(format_args!(
-            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-            left - 6.0,
-            at + 4.0,
-            number(tick)
-        ));
+        drawing.element(format_args!("<path d=\"M{left} {at:.1}H{:.1}\" stroke=\"#e4e4e4\"/>", left + width));
+        drawing.text([left - 6.0, at + 4.0], "text-anchor=\"end\"", &number(tick));
     }
-    element(format_args!(
-        "<path d=\"M{left} {top}V{:.1}H{:.1}\" fill=\"none\" stroke=\"black\"/>",
-        top + height,
-        left + width
-    ));
-    element(format_args!(
-        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-        left + 0.5 * width,
-        SIZE[1] - 10.0,
-        escape(x_label)
-    ));
-    element(format_args!(
+    drawing.axes([left, top], [width, height], x_label, bottom - 10.0);
+    drawing.element(format_args!(
         "<text transform=\"translate(14 {:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
         top + 0.5 * height,
         escape(y_label)
@@ -99,13 +71,13 @@ pub fn log_plot(title: &str, x_label: &str, y_label: &str, series: &[Series]) ->
             .collect();
         if series.joined {
             let line: Vec<String> = points.iter().map(|(x, y, _)| format!("{x:.1},{y:.1}")).collect();
-            element(format_args!(
+            drawing.element(format_args!(
                 "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"/>",
                 line.join(" ")
             ));
         }
         for (x, y, label) in points {
-            element(format_args!(
+            drawing.element(format_args!(
                 "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.5\" fill=\"{colour}\" fill-opacity=\"0.75\"><title>{}</title></circle>",
                 escape(label)
             ));
@@ -115,12 +87,8 @@ pub fn log_plot(title: &str, x_label: &str, y_label: &str, series: &[Series]) ->
             if series.joined && !label.is_empty() && is_free {
                 taken.push([x, y]);
                 let (anchor, shift) = if x > left + width - 60.0 { ("end", -6.0) } else { ("start", 6.0) };
-                element(format_args!(
-                    "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\" fill=\"{colour}\">{}</text>",
-                    x + shift,
-                    y - 5.0,
-                    escape(label)
-                ));
+                let style = format!("text-anchor=\"{anchor}\" fill=\"{colour}\"");
+                drawing.text([x + shift, y - 5.0], &style, label);
             }
         }
     }
@@ -128,17 +96,16 @@ pub fn log_plot(title: &str, x_label: &str, y_label: &str, series: &[Series]) ->
     let mut right_end = left + width;
     for (index, series) in series.iter().enumerate().rev().filter(|(_, series)| !series.name.is_empty()) {
         right_end -= 6.2 * series.name.chars().count() as f64;
-        element(format_args!(
-            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\" fill=\"{}\"/><text x=\"{right_end:.1}\" y=\"{:.1}\">{}</text>",
+        drawing.element(format_args!(
+            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\" fill=\"{}\"/>",
             right_end - 9.0,
             top - 12.0,
-            COLOURS[index % COLOURS.len()],
-            top - 8.0,
-            escape(&series.name)
+            COLOURS[index % COLOURS.len()]
         ));
+        drawing.text([right_end, top - 8.0], "", &series.name);
         right_end -= 26.0;
     }
-    svg + "</svg>\n"
+    drawing.finish()
 }
 
 /// 1, 2 and 5 of each decade, or powers of ten only if that would be too many.
@@ -152,8 +119,4 @@ fn ticks([low, high]: [f64; 2]) -> Vec<f64> {
 
 fn number(x: f64) -> String {
     if (0.001..1e4).contains(&x) { format!("{}", (x * 1e6).round() / 1e6) } else { format!("{x:.0e}") }
-}
-
-pub fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

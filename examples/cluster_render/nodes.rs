@@ -12,10 +12,10 @@ use outcrop::cluster::{
     Checkpoint, Coordinator, CoordinatorOptions, HostRole, Job, Reader, RemoteOptions, RoleOptions,
     WorkerOptions, model_key, run_coordinator, run_reader, run_worker,
 };
-use outcrop::compile::{CompileOptions, Compiler, Control};
+use outcrop::compile::{CompileOptions, Control, compile_shape};
 use outcrop::model::Model;
 use outcrop::octree::OctreeOptions;
-use outcrop::procedural::{Gears, Shape, Tessellation};
+use outcrop::procedural::{Gears, Tessellation};
 use outcrop::render::{RenderSettings, Renderer, Threads};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
@@ -77,9 +77,7 @@ fn model(options: &Options, interrupt: &Interrupt, meter: &mut Meter) -> Result<
     } else {
         Gears::new(options.gears_n)?
     };
-    let mut compiler = Compiler::new(&path, CompileOptions::default(), &budget, &mut progress)?;
-    gears.emit(&mut compiler)?;
-    compiler.finish()?;
+    compile_shape(&gears, &path, &CompileOptions::default(), &budget, &mut progress)?;
     Ok(path)
 }
 
@@ -89,9 +87,8 @@ fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
         let aspect = f64::from(options.size[0]) / f64::from(options.size[1]);
         return Ok(Scene::automatic(&model.bounds, aspect));
     }
-    let camera =
-        Camera::pinhole(gears_view::EYE, gears_view::LOOK_AT, gears_view::UP, gears_view::FOV_DEGREES)?;
-    let lights = gears_view::LAMPS.map(|position| Light::point(position, [gears_view::INTENSITY; 3]));
+    let camera = Camera::pinhole(Gears::EYE, gears_view::LOOK_AT, gears_view::UP, gears_view::FOV_DEGREES)?;
+    let lights = Gears::LAMPS.map(|position| Light::point(position, [gears_view::INTENSITY; 3]));
     Ok(Scene::new(camera)
         .with_lights(lights)
         .with_background(gears_view::BACKGROUND)

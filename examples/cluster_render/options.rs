@@ -8,7 +8,7 @@ use outcrop::cluster::{HostRole, Hosts};
 use outcrop::render::ImageFormat;
 use outcrop::units::Bytes;
 
-use crate::common::arguments::{Argument, Arguments};
+use crate::common::arguments::Arguments;
 
 pub const HELP: &str = "\
 cluster_render: makes one picture with many processes, on this machine or on many
@@ -103,17 +103,7 @@ impl Options {
         };
         let (mut checkpoint, mut readers, mut size, mut gears_n) = (None, None, None, None);
         let (mut hosts, mut node) = (None, None);
-        while let Some(argument) = arguments.next()? {
-            let name = match argument {
-                Argument::Option(name) => name,
-                Argument::Positional(path) if options.model.is_none() => {
-                    options.model = Some(path);
-                    continue;
-                }
-                Argument::Positional(path) => {
-                    return Err(format!("{}: one model at a time", path.display()).into());
-                }
-            };
+        while let Some(name) = arguments.option_or_model(&mut options.model)? {
             match name.as_str() {
                 "-h" | "--help" => return Ok(None),
                 "--role" => {
@@ -145,7 +135,7 @@ impl Options {
                 "--lanes" => options.lanes = arguments.value()?,
                 "--memory" => options.memory = arguments.value()?,
                 "--verbose" => options.verbose = true,
-                _ => return Err(format!("{name}: no such option; --help lists them").into()),
+                _ => return Err(arguments.unknown()),
             }
         }
         if options.is_small {

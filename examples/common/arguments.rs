@@ -13,36 +13,51 @@ pub struct Arguments {
     option: String,
 }
 
-/// One item of the command line.
-pub enum Argument {
-    /// `-o` or `--output`, with its dashes.
-    Option(String),
-    /// Anything else.
-    Positional(PathBuf),
-}
-
 impl Arguments {
     /// The arguments of this process.
     pub fn from_env() -> Arguments {
         Arguments { parser: lexopt::Parser::from_env(), option: String::new() }
     }
 
-    /// The next option or positional argument.
-    pub fn next(&mut self) -> Result<Option<Argument>, Box<dyn Error>> {
-        Ok(match self.parser.next()? {
-            Some(lexopt::Arg::Short(c)) => Some(self.named(format!("-{c}"))),
-            Some(lexopt::Arg::Long(name)) => {
-                let name = format!("--{name}");
-                Some(self.named(name))
+    /// The next option, with its dashes. Anything else on the command line is an error.
+    pub fn option(&mut self) -> Result<Option<String>, Box<dyn Error>> {
+        self.option_or(|path| Err(format!("{}: unexpected; --help tells what is", path.display()).into()))
+    }
+
+    /// The next option, with its dashes. One argument that is none may stand between them, and becomes `model`.
+    pub fn option_or_model(&mut self, model: &mut Option<PathBuf>) -> Result<Option<String>, Box<dyn Error>> {
+        self.option_or(|path| match model {
+            Some(_) => Err(format!("{}: one model at a time", path.display()).into()),
+            None => {
+                *model = Some(path);
+                Ok(())
             }
-            Some(lexopt::Arg::Value(value)) => Some(Argument::Positional(value.into())),
-            None => None,
         })
     }
 
-    fn named(&mut self, name: String) -> Argument {
-        self.option = name.clone();
-        Argument::Option(name)
+    /// The next option; `positional` takes what stands before it.
+    fn option_or(
+        &mut self,
+        mut positional: impl FnMut(PathBuf) -> Result<(), Box<dyn Error>>,
+    ) -> Result<Option<String>, Box<dyn Error>> {
+        loop {
+            let name = match self.parser.next()? {
+                Some(lexopt::Arg::Short(c)) => format!("-{c}"),
+                Some(lexopt::Arg::Long(name)) => format!("--{name}"),
+                Some(lexopt::Arg::Value(value)) => {
+                    positional(value.into())?;
+                    continue;
+                }
+                None => return Ok(None),
+            };
+            self.option.clone_from(&name);
+            return Ok(Some(name));
+        }
+    }
+
+    /// The error for the option that came last, if nobody knows it.
+    pub fn unknown(&self) -> Box<dyn Error> {
+        format!("{}: no such option; --help lists them", self.option).into()
     }
 
     /// The value of the option that came last, as text.

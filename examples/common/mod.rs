@@ -10,3 +10,4 @@ pub mod memory_log;
 mod plot;
 pub mod process;
 pub mod progress;
+pub mod svg;

@@ -1,6 +1,6 @@
 //! A line plot as SVG, small enough to read.
 
-use std::fmt::Write;
+use super::svg::Drawing;
 
 /// One line of a plot.
 pub struct Line {
@@ -30,66 +30,37 @@ pub fn plot_svg(title: &str, x_label: &str, y_label: &str, lines: &[Line]) -> St
     let x = |value: f64| left + width * value / ends[0];
     let y = |value: f64| top + height * (1.0 - value / ends[1]);
 
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" font-family=\"sans-serif\" font-size=\"12\">\n\
-         <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
-         <text x=\"{left}\" y=\"20\" font-size=\"15\">{}</text>\n",
-        SIZE[0],
-        SIZE[1],
-        escape(title)
-    );
-    let mut element = |text: std::fmt::Arguments<'_>| {
-        // Writing to a String cannot fail.
-        let _ = writeln!(svg, "{text}");
-    };
+    let mut drawing = Drawing::new(SIZE, 12);
+    drawing.text([left, 20.0], "font-size=\"15\"", title);
     for tick in ticks(steps[1], ends[1]) {
         let (x1, x2, at) = (left, left + width, y(tick));
-        element(format_args!("<path d=\"M{x1:.1} {at:.1}H{x2:.1}\" stroke=\"#dddddd\"/>"));
-        element(format_args!(
-            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{tick}</text>",
-            x1 - 6.0,
-            at + 4.0
-        ));
+        drawing.element(format_args!("<path d=\"M{x1:.1} {at:.1}H{x2:.1}\" stroke=\"#dddddd\"/>"));
+        drawing.text([x1 - 6.0, at + 4.0], "text-anchor=\"end\"", &tick.to_string());
     }
     for tick in ticks(steps[0], ends[0]) {
         let (at, base) = (x(tick), top + height);
-        element(format_args!("<path d=\"M{at:.1} {base:.1}v5\" stroke=\"black\"/>"));
-        element(format_args!(
-            "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{tick}</text>",
-            base + 18.0
-        ));
+        drawing.element(format_args!("<path d=\"M{at:.1} {base:.1}v5\" stroke=\"black\"/>"));
+        drawing.text([at, base + 18.0], "text-anchor=\"middle\"", &tick.to_string());
     }
-    element(format_args!(
-        "<path d=\"M{left} {top}V{:.1}H{:.1}\" fill=\"none\" stroke=\"black\"/>",
-        top + height,
-        left + width
-    ));
-    element(format_args!(
-        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-        left + 0.5 * width,
-        SIZE[1] - 8.0,
-        escape(x_label)
-    ));
-    element(format_args!("<text x=\"8\" y=\"{:.1}\">{}</text>", top - 4.0, escape(y_label)));
+    drawing.axes([left, top], [width, height], x_label, bottom - 8.0);
+    drawing.text([8.0, top - 4.0], "", y_label);
     for (index, line) in lines.iter().enumerate() {
         let colour = COLOURS[index % COLOURS.len()];
         let points: Vec<String> =
             line.points.iter().map(|point| format!("{:.1},{:.1}", x(point[0]), y(point[1]))).collect();
-        element(format_args!(
+        drawing.element(format_args!(
             "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"/>",
             points.join(" ")
         ));
         let at = [left + width + 12.0, top + 12.0 + 20.0 * index as f64];
-        element(format_args!(
-            "<path d=\"M{:.1} {:.1}h16\" stroke=\"{colour}\" stroke-width=\"2\"/><text x=\"{:.1}\" y=\"{:.1}\">{}</text>",
+        drawing.element(format_args!(
+            "<path d=\"M{:.1} {:.1}h16\" stroke=\"{colour}\" stroke-width=\"2\"/>",
             at[0],
-            at[1] - 4.0,
-            at[0] + 22.0,
-            at[1],
-            escape(&line.name)
+            at[1] - 4.0
         ));
+        drawing.text([at[0] + 22.0, at[1]], "", &line.name);
     }
-    svg + "</svg>\n"
+    drawing.finish()
 }
 
 /// The least of 1, 2, 5, 10 ... (and their tenths) that is at least `step`.
@@ -105,8 +76,4 @@ fn round_step(step: f64) -> f64 {
 fn ticks(step: f64, end: f64) -> impl Iterator<Item = f64> {
     // Rounded, so that 3 x 0.1 prints as 0.3.
     (0..=(end / step + 1e-9) as u32).map(move |count| (f64::from(count) * step * 1e9).round() / 1e9)
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;")
 }

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 
-use common::arguments::{self, Argument, Arguments};
+use common::arguments::{self, Arguments};
 use outcrop::octree::OctreeOptions;
 use outcrop::render::{Control, PathEnd, RenderSettings, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Effect, EffectSet};
@@ -52,28 +52,18 @@ fn run(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
         quick: false,
         threads: 2,
     };
-    while let Some(argument) = arguments.next()? {
-        match argument {
-            Argument::Option(name) => match name.as_str() {
-                "-o" | "--output" => options.output = arguments.path()?,
-                "--only" => options.only = Some(arguments.text()?),
-                "--size" => {
-                    let text = arguments.text()?;
-                    let sides =
-                        text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
-                    options.size = sides.ok_or_else(|| format!("--size {text}: not of the form WxH"))?;
-                }
-                "--quick" => options.quick = true,
-                "--threads" => options.threads = arguments.value()?,
-                "-h" | "--help" => {
-                    print!("{HELP}");
-                    return Ok(ExitCode::SUCCESS);
-                }
-                _ => return Err(format!("{name}: no such option; --help lists them").into()),
-            },
-            Argument::Positional(value) => {
-                return Err(format!("{}: unexpected; --help tells what is", value.display()).into());
+    while let Some(name) = arguments.option()? {
+        match name.as_str() {
+            "-o" | "--output" => options.output = arguments.path()?,
+            "--only" => options.only = Some(arguments.text()?),
+            "--size" => options.size = arguments.size()?,
+            "--quick" => options.quick = true,
+            "--threads" => options.threads = arguments.value()?,
+            "-h" | "--help" => {
+                print!("{HELP}");
+                return Ok(ExitCode::SUCCESS);
             }
+            _ => return Err(arguments.unknown()),
         }
     }
     std::fs::create_dir_all(&options.output)?;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use outcrop::compile::{
     CompileOptions, CompileReport, Compiler, Control, LazyModel, LazyOptions, Phase, Progress, Threads,
-    compile_file,
+    compile_file, compile_shape,
 };
 use outcrop::import::source_record;
 use outcrop::model::SourceRecord;
@@ -72,9 +72,7 @@ pub fn prepare(
             let model = LazyModel::from_mesh(source, &path, &lazy, budget, &mut progress, emit)?;
             return Ok(Compiled { origin: Origin::Lazy(Arc::new(model)), story, report: None });
         }
-        let mut compiler = Compiler::new(&path, compile_options, budget, &mut progress)?;
-        gears.emit(&mut compiler)?;
-        let report = compiler.finish()?;
+        let report = compile_shape(&gears, &path, &compile_options, budget, &mut progress)?;
         return Ok(Compiled { origin: Origin::File(path), story, report: Some(report) });
     };
 

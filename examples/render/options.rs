@@ -8,11 +8,12 @@ use outcrop::block::Codec;
 use outcrop::cache::Policy;
 use outcrop::compile::PrecisionChoice;
 use outcrop::octree::{LeafLayout, Tier, TreeQuality};
+use outcrop::procedural::Gears;
 use outcrop::render::ImageFormat;
 use outcrop::simd::SimdLevel;
 use outcrop::units::Bytes;
 
-use crate::common::arguments::{Argument, Arguments};
+use crate::common::arguments::Arguments;
 use crate::common::gears_view;
 
 pub const HELP: &str = "\
@@ -134,17 +135,7 @@ impl Options {
         let mut options = Options::default();
         let mut output = None;
         let (mut size, mut memory) = (None, None);
-        while let Some(argument) = arguments.next()? {
-            let name = match argument {
-                Argument::Option(name) => name,
-                Argument::Positional(path) if options.model.is_none() => {
-                    options.model = Some(path);
-                    continue;
-                }
-                Argument::Positional(path) => {
-                    return Err(format!("{}: one model at a time", path.display()).into());
-                }
-            };
+        while let Some(name) = arguments.option_or_model(&mut options.model)? {
             match name.as_str() {
                 "-h" | "--help" => return Ok(Command::Help),
                 "-o" | "--output" => output = Some(arguments.path()?),
@@ -217,7 +208,7 @@ impl Options {
                 "--stats" => options.stats = Some(arguments.path()?),
                 "--record-accesses" => options.record_accesses = Some(arguments.path()?),
                 "--memory-log" => options.memory_log = Some(arguments.path()?),
-                _ => return Err(format!("{name}: no such option; --help lists them").into()),
+                _ => return Err(arguments.unknown()),
             }
         }
         options.finish(output, size, memory)?;
@@ -256,11 +247,11 @@ impl Options {
     /// What the gears are shown with where the command line leaves it open: their standard view.
     fn show_gears(&mut self) {
         (self.size, self.memory) = ([768, 768], Bytes::mib(64));
-        self.eye.get_or_insert(gears_view::EYE);
+        self.eye.get_or_insert(Gears::EYE);
         self.look_at.get_or_insert(gears_view::LOOK_AT);
         self.up.get_or_insert(gears_view::UP);
         if self.lights.is_empty() {
-            self.lights = gears_view::LAMPS.map(|position| (position, gears_view::INTENSITY)).to_vec();
+            self.lights = Gears::LAMPS.map(|position| (position, gears_view::INTENSITY)).to_vec();
         }
     }
 }

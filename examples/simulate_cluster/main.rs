@@ -7,6 +7,8 @@
 mod common;
 #[path = "../../benches/support/paths.rs"]
 mod paths;
+#[path = "../../benches/support/plain_scheduler.rs"]
+mod plain_scheduler;
 #[path = "../../benches/support/scenes.rs"]
 mod scenes;
 mod tables;
@@ -14,7 +16,7 @@ mod tables;
 use std::error::Error;
 use std::process::ExitCode;
 
-use common::arguments::{self, Argument, Arguments};
+use common::arguments::{self, Arguments};
 use outcrop::schedule::ImageGrid;
 use outcrop::schedule::simulation::{AccessDetail, CostImage, CostModel, measure};
 use outcrop::trace::Tracer;
@@ -57,33 +59,22 @@ fn parse(mut arguments: Arguments) -> Result<Option<Options>, Box<dyn Error>> {
         samples: 64,
         workers: vec![2, 6, 64, 1024, 10_000],
     };
-    while let Some(argument) = arguments.next()? {
-        match argument {
-            Argument::Option(name) => match name.as_str() {
-                "--n" => options.n = arguments.value()?,
-                "--size" => options.size = arguments.value()?,
-                "--traced" => options.traced = arguments.value()?,
-                "--cell" => options.cell = arguments.value()?,
-                "--samples" => options.samples = arguments.value()?,
-                "--workers" => {
-                    options.workers = arguments.number_list()?.iter().map(|count| *count as u32).collect();
-                }
-                "--quick" => {
-                    options = Options {
-                        n: 1,
-                        size: 512,
-                        traced: 128,
-                        cell: 8,
-                        samples: 16,
-                        workers: vec![2, 6, 64],
-                    };
-                }
-                "-h" | "--help" => return Ok(None),
-                _ => return Err(format!("{name}: no such option; --help lists them").into()),
-            },
-            Argument::Positional(value) => {
-                return Err(format!("{}: unexpected; --help tells what is", value.display()).into());
+    while let Some(name) = arguments.option()? {
+        match name.as_str() {
+            "--n" => options.n = arguments.value()?,
+            "--size" => options.size = arguments.value()?,
+            "--traced" => options.traced = arguments.value()?,
+            "--cell" => options.cell = arguments.value()?,
+            "--samples" => options.samples = arguments.value()?,
+            "--workers" => {
+                options.workers = arguments.number_list()?.iter().map(|count| *count as u32).collect();
             }
+            "--quick" => {
+                options =
+                    Options { n: 1, size: 512, traced: 128, cell: 8, samples: 16, workers: vec![2, 6, 64] };
+            }
+            "-h" | "--help" => return Ok(None),
+            _ => return Err(arguments.unknown()),
         }
     }
     let divides = |part: u32, whole: u32| part > 0 && whole.is_multiple_of(part);

@@ -1,12 +1,13 @@
 //! Simulations put side by side.
 
 use std::error::Error;
-use std::time::Duration;
 
 use outcrop::schedule::simulation::{
     ClusterModel, CostImage, Relays, SimulationReport, sequential, simulate,
 };
 use outcrop::schedule::{CentralPoints, SchedulerOptions, TilePolicy};
+
+use crate::plain_scheduler::plain;
 
 /// A simulation; its figures must make sense, whatever they are.
 fn run(
@@ -73,19 +74,9 @@ pub fn by_workers(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dyn Erro
 pub fn ingredients(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dyn Error>> {
     let patient = ClusterModel { ask_ahead: false, ..ClusterModel::default() };
     let eager = ClusterModel::default();
-    let fixed = |workers| SchedulerOptions {
-        policy: TilePolicy::Rows,
-        tiles_per_worker: 0,
-        share_of_rest: 0.0,
-        critical_time: false,
-        take_over: false,
-        learn_speeds: false,
-        hand_out_min: Duration::ZERO,
-        ..SchedulerOptions::new(workers)
-    };
     let near = TilePolicy::Nearest(CentralPoints::Even);
     type Change<'a> = (&'a str, &'a ClusterModel, &'a dyn Fn(u32) -> SchedulerOptions);
-    let nearest = |workers| SchedulerOptions { policy: near, ..fixed(workers) };
+    let nearest = |workers| SchedulerOptions { policy: near, ..plain(workers) };
     let five = |workers| SchedulerOptions { tiles_per_worker: 5, ..nearest(workers) };
     let late = |workers| SchedulerOptions { share_of_rest: 0.25, ..five(workers) };
     let critical = |workers| SchedulerOptions { critical_time: true, ..late(workers) };
@@ -108,8 +99,8 @@ pub fn ingredients(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dyn Err
     let side = costs.grid().tile_side();
     let coarse = costs.in_tiles(side / 2, side / 2)?;
     let rows: [Change<'_>; 13] = [
-        ("fixed tiles of half the side, in rows", &patient, &fixed),
-        ("fixed tiles, in rows", &patient, &fixed),
+        ("fixed tiles of half the side, in rows", &patient, &plain),
+        ("fixed tiles, in rows", &patient, &plain),
         ("nearest to even points", &patient, &nearest),
         ("+ at least five hand-outs per worker", &patient, &five),
         ("+ late subdivision, down to a cell", &patient, &late),

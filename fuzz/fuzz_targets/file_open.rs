@@ -3,39 +3,19 @@
 
 use libfuzzer_sys::fuzz_target;
 use outcrop::BlockSource;
-use outcrop::block::{BlockData, DecodeScratch, checksum};
-use outcrop::model::HEADER_BYTES;
+use outcrop::block::{BlockData, DecodeScratch};
 use outcrop::source::MemorySource;
 use outcrop::units::BlockId;
+use outcrop_fuzz::{HEADER_BYTES, seal};
 
 /// Where the header names directory and materials: offset, length, checksum.
 const SECTIONS: [usize; 2] = [104, 128];
 
-fn seal(file: &mut [u8]) {
-    if file.len() < HEADER_BYTES {
-        return;
-    }
-    let u64_at = |file: &[u8], at: usize| {
-        let mut word = [0; 8];
-        word.copy_from_slice(&file[at..at + 8]);
-        usize::try_from(u64::from_le_bytes(word)).unwrap_or(usize::MAX)
-    };
-    for section in SECTIONS {
-        let (offset, bytes) = (u64_at(file, section), u64_at(file, section + 8));
-        if let Some(part) = file.get(offset..).and_then(|rest| rest.get(..bytes)) {
-            let sum = checksum(part);
-            file[section + 16..section + 24].copy_from_slice(&sum.to_le_bytes());
-        }
-    }
-    let sum = checksum(&file[..HEADER_BYTES - 8]);
-    file[HEADER_BYTES - 8..HEADER_BYTES].copy_from_slice(&sum.to_le_bytes());
-}
-
 fuzz_target!(|input: &[u8]| {
     let [sealed, file @ ..] = input else { return };
     let mut file = file.to_vec();
-    if sealed % 4 != 0 {
-        seal(&mut file);
+    if sealed % 4 != 0 && file.len() >= HEADER_BYTES {
+        seal(&mut file, &SECTIONS);
     }
     let Ok(source) = MemorySource::new(file) else { return };
     let model = source.model();

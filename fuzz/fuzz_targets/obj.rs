@@ -4,12 +4,9 @@
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use outcrop::import::{ImportOptions, MeshBuffer, read_obj};
+use outcrop::import::{ImportOptions, read_obj};
+use outcrop_fuzz::check_import;
 
 fuzz_target!(|bytes: &[u8]| {
-    let mut mesh = MeshBuffer::new();
-    if let Ok(report) = read_obj(bytes, Path::new("fuzz.obj"), &ImportOptions::default(), &mut mesh) {
-        assert_eq!(report.vertices, mesh.vertices.len() as u64);
-        assert_eq!(report.triangles, mesh.triangles.len() as u64);
-    }
+    check_import(|mesh| read_obj(bytes, Path::new("fuzz.obj"), &ImportOptions::default(), mesh));
 });

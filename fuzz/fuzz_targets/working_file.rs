@@ -6,7 +6,6 @@ use std::fs;
 use std::sync::Arc;
 
 use libfuzzer_sys::fuzz_target;
-use outcrop::block::checksum;
 use outcrop::compile::{CompileOptions, Compiler, Control, LazyModel, LazyOptions};
 use outcrop::geom::Ray;
 use outcrop::model::SourceRecord;
@@ -14,8 +13,8 @@ use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Icosphere, Shape};
 use outcrop::units::Bytes;
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
+use outcrop_fuzz::{HEADER_BYTES, seal, seal_part, size_at};
 
-const HEADER_BYTES: usize = 256;
 /// Where the header names cells and materials: offset, length, checksum.
 const SECTIONS: [usize; 2] = [144, 168];
 
@@ -28,32 +27,13 @@ fn change(file: &mut [u8], changes: &[u8]) {
     }
 }
 
-fn seal(file: &mut [u8]) {
-    let u64_at = |file: &[u8], at: usize| {
-        let mut word = [0; 8];
-        word.copy_from_slice(&file[at..at + 8]);
-        usize::try_from(u64::from_le_bytes(word)).unwrap_or(usize::MAX)
-    };
-    // The triangles of each cell, so that what is changed in them is looked at.
-    let (offset, bytes) = (u64_at(file, SECTIONS[0]), u64_at(file, SECTIONS[0] + 8));
+/// The triangles of each cell too, so that what is changed in them is looked at.
+fn seal_all(file: &mut [u8]) {
+    let (offset, bytes) = (size_at(file, SECTIONS[0]), size_at(file, SECTIONS[0] + 8));
     let records = offset..offset.saturating_add(bytes).min(file.len());
     let file_bytes = file.len();
-    for at in records.step_by(96).filter(|at| at + 96 <= file_bytes) {
-        let (start, length) = (u64_at(file, at), u64_at(file, at + 8));
-        if let Some(part) = file.get(start..).and_then(|rest| rest.get(..length)) {
-            let sum = checksum(part);
-            file[at + 16..at + 24].copy_from_slice(&sum.to_le_bytes());
-        }
-    }
-    for section in SECTIONS {
-        let (offset, bytes) = (u64_at(file, section), u64_at(file, section + 8));
-        if let Some(part) = file.get(offset..).and_then(|rest| rest.get(..bytes)) {
-            let sum = checksum(part);
-            file[section + 16..section + 24].copy_from_slice(&sum.to_le_bytes());
-        }
-    }
-    let sum = checksum(&file[..HEADER_BYTES - 8]);
-    file[HEADER_BYTES - 8..HEADER_BYTES].copy_from_slice(&sum.to_le_bytes());
+    records.step_by(96).filter(|at| at + 96 <= file_bytes).for_each(|at| seal_part(file, at));
+    seal(file, &SECTIONS);
 }
 
 fuzz_target!(|input: &[u8]| {
@@ -81,7 +61,7 @@ fuzz_target!(|input: &[u8]| {
     if file.len() > HEADER_BYTES {
         change(&mut file, changes);
         if sealed % 4 != 0 {
-            seal(&mut file);
+            seal_all(&mut file);
         }
     }
     fs::write(&working, file).expect("the folder for temporary files has room");

@@ -19,7 +19,7 @@ pub struct Certificate {
     pub verdict: Verdict,
     /// Proven: where things are and what is in front of what.
     pub geometry: GeometryBounds,
-    /// Proven: light that was not followed.
+    /// Proven: light that was not followed. In expectation only, with effects that are sampled; see [`CutOffBounds`].
     pub cut_off: CutOffBounds,
     /// Estimated: the error of finitely many samples, in every metric. That in [`Metric::Flip`] holds what was cut off as well. None if a
     /// pixel has a single sample, which says nothing about itself, or the picture is not whole.
@@ -72,6 +72,10 @@ pub struct GeometryBounds {
 
 /// Light that was not followed because it could not matter enough, or because a sample's work budget was spent. Against ray trees of at
 /// most [`RenderSettings::work_budget`] rays in which nothing is cut, with the samples that the picture has.
+///
+/// With effects that are sampled (area lights, environment light, rough mirrors and glass, interreflection) the bounds hold in
+/// expectation only. The proof is about the mean of what a ray brings back, and one ray may by chance bring more: the mean over
+/// all luck of what pictures lack is at most the mean of their bounds, but a single picture can lack more than its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutOffBounds {
     /// What it adds to the root mean square error, at most.

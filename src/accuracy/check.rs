@@ -214,7 +214,6 @@ mod tests {
             held_by_halves += u32::from(truth <= MeanSquare::of_halves(&sampled, 0.9).upper);
             above += (found.upper / truth).sqrt() / f64::from(RUNS);
         }
-        println!("{held} of {RUNS} hold, {above:.2} above; by half differences {held_by_halves}");
         assert!(held >= RUNS * 9 / 10 - 4, "{held} of {RUNS}");
         assert!(held_by_halves < RUNS / 2, "what a check is for: {held_by_halves}");
         assert!(above < 1.3, "{above}");

@@ -259,18 +259,15 @@ fn block_sums(map: &[f64], width: usize) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::procedural::random::Random;
 
     const SIDE: u32 = 64;
     const RUNS: u32 = 40;
 
     /// Normal noise, seeded.
     fn noise() -> impl FnMut() -> f64 {
-        let mut state = 1u64;
-        let mut uniform = move || {
-            // SplitMix64: neighbours of a linear congruence would spoil the tails that Box and Muller make of them.
-            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            (mix(state) >> 11) as f64 / (1u64 << 53) as f64
-        };
+        let mut random = Random::new(1);
+        let mut uniform = move || random.unit();
         move || (-2.0 * (1.0 - uniform()).ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
     }
 
@@ -332,7 +329,6 @@ mod tests {
                 ),
             ),
         ] {
-            println!("{name}: {held:?} of {RUNS} hold, median of upper over error {above:.2?}");
             assert!(held.iter().all(|held| *held >= enough), "{name}: {held:?} of {RUNS}");
             assert!(above[0] < 1.1 && above[2] < 1.25, "{name}: {above:?}");
         }

@@ -5,16 +5,14 @@ use proptest::prelude::*;
 use super::planes::{gather, merge, split, width_of};
 use super::shapes::{self, Connectivity, DISTANCES_SLACK, Parents, Streams};
 use super::{Fault, lzo};
+use crate::procedural::random::Random;
 
 // --- LZO against the decoder that comes with the encoder ----------------------------------------------------------
 
 /// Bytes with repeats at every distance that the format has an instruction for.
 fn compressible(seed: u64, length: usize) -> Vec<u8> {
-    let mut state = seed | 1;
-    let mut random = move || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (state >> 33) as usize
-    };
+    let mut generator = Random::new(seed);
+    let mut random = || generator.next_u64() as usize;
     let mut bytes: Vec<u8> = Vec::with_capacity(length + 400);
     while bytes.len() < length {
         let count = 1 + random() % [3, 20, 400][random() % 3];

@@ -53,6 +53,32 @@ fn return_freed_memory() {
     }
 }
 
+/// Asks for huge pages for `memory` where the operating system has them to spare: rays jump from slot to slot, and with small
+/// pages wait for translations of addresses (measured: 5 to 13 % of the time of secondary rays). It costs no memory beyond the
+/// slots: pages come when a slot is first written to, huge or not.
+fn prefer_huge_pages(memory: NonNull<u8>, bytes: usize) {
+    #[cfg(target_os = "linux")]
+    {
+        // Where the size of a huge page is another, the advice comes to nothing, or helps a little less.
+        const HUGE_PAGE_BYTES: usize = 2 << 20;
+        let before_page = memory.align_offset(HUGE_PAGE_BYTES);
+        let whole_pages = bytes.saturating_sub(before_page) / HUGE_PAGE_BYTES * HUGE_PAGE_BYTES;
+        if whole_pages > 0 {
+            // SAFETY: `before_page + whole_pages` is at most `bytes`, so all is inside the allocation.
+            let pages = unsafe { memory.add(before_page) };
+            // SAFETY: the pages are private anonymous memory inside an allocation of the caller's; the advice changes nothing that
+            // they hold. It stays with the addresses, as far as they are not unmapped, when the allocation is gone.
+            let advised = unsafe {
+                rustix::mm::madvise(pages.as_ptr().cast(), whole_pages, rustix::mm::Advice::LinuxHugepage)
+            };
+            // Refused where there are none.
+            let _ = advised;
+        }
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = (memory, bytes);
+}
+
 impl FreeSlot {
     pub(super) fn index(&self) -> u32 {
         self.index
@@ -90,6 +116,7 @@ impl<S: Primitives> Arena<S> {
         assert!(padding < SLOT_ALIGNMENT);
         // SAFETY: `padding` is below SLOT_ALIGNMENT, which the allocation has beyond the slots.
         let first_slot = unsafe { memory.add(padding) };
+        prefer_huge_pages(first_slot, slot_count as usize * slot_bytes);
         let words = (0..block_count).map(|_| S::Word::new(Word::ABSENT.0)).collect();
         let home = first_slot.addr().get();
         let free = (0..slot_count).rev().map(|index| FreeSlot { index, home }).collect();

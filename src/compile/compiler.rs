@@ -554,14 +554,11 @@ impl<'p> Compiler<'p> {
         let quota = self.place.quota.clone();
         let mut output = Output::create(&self.output, quota, decision.precision, limits, &self.budget)?;
         let mut write = Meter::default();
-        let (mut degenerate, mut duplicates) = (0, 0);
         let total = scattered.buckets.len().max(1) as f64;
         let mut done = 0;
         let pool = self.pool.clone();
         let cut_time = encode_buckets(&scattered, workers, pool.as_deref(), |bucket| {
             let start = Moment::now();
-            degenerate += bucket.degenerate;
-            duplicates += bucket.duplicates;
             output.write_bucket(bucket)?;
             write.add_since(start);
             done += 1;
@@ -569,15 +566,14 @@ impl<'p> Compiler<'p> {
         })?;
         drop(memory);
         let start = Moment::now();
-        let (triangles, blocks, vertices) = (output.triangles(), output.block_count(), output.vertices());
-        if triangles == 0 {
+        if output.triangles() == 0 {
             return Err(CompileError::Empty);
         }
         spill_bytes += scattered.spill_bytes();
         let skipped = scattered.skipped;
         drop(scattered);
         self.ask(Phase::Seal, None)?;
-        let file_bytes = output.seal(&self.materials, self.source)?;
+        let written = output.seal(&self.materials, self.source)?;
         write.add_since(start);
         let mut total = Meter::default();
         total.add_since(self.start);
@@ -596,13 +592,13 @@ impl<'p> Compiler<'p> {
             seconds.total.cpu += crew_time.seconds().cpu + seconds.cut.cpu + seconds.encode.cpu;
         }
         Ok(CompileReport {
-            triangles,
-            blocks: blocks as u32,
-            vertices,
-            file_bytes,
-            bytes_per_triangle: file_bytes as f64 / triangles as f64,
-            degenerate,
-            duplicates,
+            triangles: written.triangles,
+            blocks: written.blocks,
+            vertices: written.vertices,
+            file_bytes: written.file_bytes,
+            bytes_per_triangle: written.bytes_per_triangle(),
+            degenerate: written.degenerate,
+            duplicates: written.duplicates,
             skipped,
             precision: decision.precision,
             error_bound,

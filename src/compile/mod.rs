@@ -33,6 +33,7 @@ mod precision;
 mod records;
 mod refine;
 mod scatter;
+mod shape;
 mod spill;
 mod temporary;
 mod vertices;
@@ -44,3 +45,4 @@ pub use options::{
     AUTO_TOLERANCE, CompileOptions, CompileReport, Control, Phase, PhaseSeconds, PrecisionChoice, Progress,
     Seconds, Threads,
 };
+pub use shape::compile_shape;

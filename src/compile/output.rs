@@ -28,11 +28,30 @@ pub(super) struct Output {
     /// Where in the file the buffer goes.
     buffer_offset: u64,
     vertices: u64,
+    degenerate: u64,
+    duplicates: u64,
     budget: MemoryBudget,
     /// For the directory, and for its bytes when the file is sealed.
     memory: Vec<Reservation>,
     /// Blocks that `memory` has room for.
     room: usize,
+}
+
+/// What a sealed file holds, as in [`CompileReport`](super::CompileReport).
+#[derive(Debug)]
+pub(super) struct Written {
+    pub triangles: u64,
+    pub blocks: u32,
+    pub vertices: u64,
+    pub file_bytes: u64,
+    pub degenerate: u64,
+    pub duplicates: u64,
+}
+
+impl Written {
+    pub(super) fn bytes_per_triangle(&self) -> f64 {
+        self.file_bytes as f64 / self.triangles as f64
+    }
 }
 
 impl Output {
@@ -53,6 +72,8 @@ impl Output {
             buffer_offset: writer.next_offset(),
             writer,
             vertices: 0,
+            degenerate: 0,
+            duplicates: 0,
             budget: budget.clone(),
             memory: Vec::new(),
             room: 0,
@@ -79,22 +100,14 @@ impl Output {
         Ok(())
     }
 
-    /// Vertices of all blocks so far.
-    pub(super) fn vertices(&self) -> u64 {
-        self.vertices
-    }
-
     /// Triangles of all blocks so far.
     pub(super) fn triangles(&self) -> u64 {
         self.writer.triangle_count()
     }
 
-    /// How many blocks there are so far.
-    pub(super) fn block_count(&self) -> usize {
-        self.writer.block_count()
-    }
-
     pub(super) fn write_bucket(&mut self, bucket: &EncodedBucket) -> Result<(), CompileError> {
+        self.degenerate += bucket.degenerate;
+        self.duplicates += bucket.duplicates;
         let mut start = 0;
         for block in &bucket.blocks {
             let stored = &bucket.bytes[start..block.end];
@@ -128,20 +141,29 @@ impl Output {
     }
 
     /// Writes directory, materials and, last, the header; makes it durable and gives it its name. Until then no file of that
-    /// name changes, and what is left of an interrupted run has no header. Returns the size.
+    /// name changes, and what is left of an interrupted run has no header.
     pub(super) fn seal(
         mut self,
         materials: &[MaterialRecord],
         source: SourceRecord,
-    ) -> Result<u64, CompileError> {
+    ) -> Result<Written, CompileError> {
         self.flush()?;
+        // `ModelWriter` takes at most 2^32 - 1 blocks.
+        let (triangles, blocks) = (self.writer.triangle_count(), self.writer.block_count() as u32);
         let sealed = self.writer.seal(materials, source)?;
         let write = |error| CompileError::Write { path: self.path.clone(), error };
         self.quota.take((sealed.tail.len() + sealed.header.len()) as u64).map_err(write)?;
         write_at(self.file.file(), sealed.tail_offset, &sealed.tail).map_err(write)?;
         write_at(self.file.file(), 0, &sealed.header).map_err(write)?;
         self.file.publish(&self.path)?;
-        Ok(sealed.file_bytes)
+        Ok(Written {
+            triangles,
+            blocks,
+            vertices: self.vertices,
+            file_bytes: sealed.file_bytes,
+            degenerate: self.degenerate,
+            duplicates: self.duplicates,
+        })
     }
 }
 

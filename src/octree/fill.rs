@@ -1,7 +1,7 @@
 //! Builds the fine tree of a decoded block into its slot.
 
 use super::build::{BuildScratch, Groups, LeafSink, build_groups};
-use super::fine::{FineLayout, HEADER_BYTES, Header};
+use super::fine::{FineLayout, HEADER_BYTES, Header, LEAF_ROWS};
 use super::frame::Frame;
 use super::node::{Child, Node, PLACE_BYTES};
 use super::options::TreeQuality;
@@ -156,8 +156,8 @@ impl<S: Simd> LeafSink<S> for TriangleSink<'_> {
         self.next_word += words;
         let leaf = &mut self.leaves[start..start + words];
         let (leaf, tail) = leaf.split_at_mut(parts.indices / 4);
-        let (ids, rows) = leaf.split_at_mut(parts.rows / 4);
-        let (edge, ids) = ids.split_at_mut(1);
+        let (rows, ids) = leaf.split_at_mut(parts.ids / 4);
+        let (edge, rows) = rows.split_at_mut(LEAF_ROWS / 4);
         let rows: &mut [f32] = bytemuck::cast_slice_mut(rows);
         let (indices, materials) =
             bytemuck::cast_slice_mut::<u32, u16>(tail).split_at_mut((parts.materials - parts.indices) / 2);

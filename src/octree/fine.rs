@@ -15,8 +15,8 @@
 //! | part of a leaf | bytes | when |
 //! |---|---|---|
 //! | a bound on the magnitude of its edge components: f32 | 4 | always |
-//! | ids: source ordinals, as offsets from the block's least if all fit in 32 bits, else low and high halves | 4 n or 8 n | always |
 //! | rows: nine f32 per triangle, `a.x` of all first, then `a.y`, ... `c.z` | 36 n | expanded |
+//! | ids: source ordinals, as offsets from the block's least if all fit in 32 bits, else low and high halves | 4 n or 8 n | always |
 //! | vertex indices: three u16 | 6 n | indexed, or where f32 offsets are not exact |
 //! | materials: u16 | 2 n | always |
 //!
@@ -85,16 +85,19 @@ impl Header {
     /// The parts of a leaf of `count` triangles, in bytes from its start.
     #[inline(always)]
     pub fn leaf_parts(&self, count: usize) -> LeafParts {
-        let rows = 4 + count * (4 + 4 * self.long_ids as usize);
-        let indices = rows + count * 36 * self.expanded as usize;
+        let ids = LEAF_ROWS + count * 36 * self.expanded as usize;
+        let indices = ids + count * (4 + 4 * self.long_ids as usize);
         let materials = indices + count * 6 * (self.wide | (1 - self.expanded)) as usize;
-        LeafParts { rows, indices, materials, end: materials + 2 * count }
+        LeafParts { ids, indices, materials, end: materials + 2 * count }
     }
 }
 
+/// Where the rows of a leaf begin, in bytes from its start: at the same place in all, so that a kernel has nothing to wait for.
+pub(super) const LEAF_ROWS: usize = 4;
+
 /// See [`Header::leaf_parts`].
 pub(super) struct LeafParts {
-    pub rows: usize,
+    pub ids: usize,
     pub indices: usize,
     pub materials: usize,
     pub end: usize,
@@ -227,9 +230,8 @@ impl<'a> Fine<'a> {
     #[inline(always)]
     pub fn leaf<const EXPANDED: bool>(&self, leaf: Child) -> Leaf<'a> {
         if EXPANDED {
-            let count = leaf.triangle_count();
-            let start = leaf.place() * (PLACE_BYTES / 4) + 1 + count * (1 + self.header.long_ids as usize);
-            Leaf::Rows(PacketRows::new(bytemuck::cast_slice(&self.words[start..]), count))
+            let start = leaf.place() * (PLACE_BYTES / 4) + LEAF_ROWS / 4;
+            Leaf::Rows(PacketRows::new(bytemuck::cast_slice(&self.words[start..]), leaf.triangle_count()))
         } else {
             Leaf::Indices { vertices: self.vertices(), triangles: self.indices(leaf) }
         }
@@ -255,7 +257,7 @@ impl<'a> Fine<'a> {
         let header = self.header;
         if header.expanded == 1 && header.wide == 0 {
             let count = at.leaf.triangle_count();
-            let start = at.leaf.place() * (PLACE_BYTES / 4) + 1 + count * (1 + header.long_ids as usize);
+            let start = at.leaf.place() * (PLACE_BYTES / 4) + LEAF_ROWS / 4;
             // The last row reaches furthest: one check for all.
             let rows: &[f32] = bytemuck::cast_slice(&self.words[start + at.lane..][..8 * count + 1]);
             return [
@@ -290,7 +292,8 @@ impl<'a> Fine<'a> {
 
     #[inline(always)]
     pub fn id(&self, at: TriangleLocation) -> TriangleId {
-        let start = at.leaf.place() * (PLACE_BYTES / 4) + 1;
+        let parts = self.header.leaf_parts(at.leaf.triangle_count());
+        let start = at.leaf.place() * (PLACE_BYTES / 4) + parts.ids / 4;
         let offset = if self.header.long_ids == 1 {
             let at = start + 2 * at.lane;
             u64::from(self.words[at]) | u64::from(self.words[at + 1]) << 32

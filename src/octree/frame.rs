@@ -71,6 +71,8 @@ pub(crate) struct Space {
     /// The model's box in that frame with sixteen times its size around it: rays from within are traced from where they start.
     pub near_low: [f32; 3],
     pub near_high: [f32; 3],
+    /// Rays whose origins are not farther apart than this may be traced together.
+    pub together: f32,
     /// The frame's scale, if that can be had: rays are not near where it cannot.
     pub scale_f32: f32,
     pub parallel: Parallel,
@@ -79,7 +81,8 @@ pub(crate) struct Space {
 impl Space {
     /// `is_shared`: all blocks have the coarse tree's `frame`.
     pub fn new(bounds: Aabb, frame: Frame, is_shared: bool) -> Space {
-        let margin = 16.0 * bounds.extent().iter().fold(0.0f64, |largest, x| largest.max(*x));
+        let largest = bounds.extent().iter().fold(0.0f64, |largest, x| largest.max(*x));
+        let margin = 16.0 * largest;
         let mut near = ([f32::MIN; 3], [f32::MAX; 3]);
         for axis in 0..3 {
             near.0[axis] = ((bounds.min[axis] - margin - frame.base[axis]) * frame.scale) as f32;
@@ -95,6 +98,7 @@ impl Space {
             near = ([f32::NAN; 3], [f32::NAN; 3]);
         }
         let scale_f32 = frame.scale as f32;
-        Space { bounds, frame, is_shared, near_low: near.0, near_high: near.1, scale_f32, parallel }
+        let together = (largest * frame.scale / 64.0) as f32;
+        Space { bounds, frame, is_shared, near_low: near.0, near_high: near.1, together, scale_f32, parallel }
     }
 }

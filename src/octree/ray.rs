@@ -2,7 +2,7 @@
 
 use super::frame::{Frame, Space};
 use crate::geom::{Ray, RayFrame};
-use crate::simd::{BoxRay, ErrorBounds, Interval, ParallelAxes, Simd, TriangleRay};
+use crate::simd::{BoxRay, ErrorBounds, Interval, ParallelAxes, Simd, TestRay};
 
 /// What does not change from frame to frame.
 #[derive(Clone, Copy, Debug)]
@@ -13,6 +13,8 @@ pub(crate) struct QueryRay {
     pub(super) origin_error: f64,
     /// Sum of the magnitudes of the local direction.
     pub(super) direction_sum: f32,
+    /// See [`BoxRay::set_origin`].
+    pub(super) widen: [f32; 3],
     /// `t` to local units: first one factor, then the other (their product can leave the range of f64).
     pub(super) t_factors: [f64; 2],
     /// Local parameter of the start of the traversal.
@@ -39,21 +41,19 @@ pub(super) fn prepare_with_care<S: Simd>(
     ray: &Ray,
     space: &Space,
     query: &mut QueryRay,
-    local: &mut LocalRay<S>,
+    local: &mut LocalRay,
 ) -> Option<&'static str> {
     let careful = Careful::new(ray, space);
     *query = careful.query;
     let [x, y, z] = careful.direction;
     let lanes = simd.load(&[x, y, z, 1.0, 1.0, 1.0, 1.0, 1.0]);
     let origin = local_origin(query.origin, &space.frame);
-    local.boxes.set_direction(simd, lanes, &careful.parallel);
-    local.triangles.origin = simd.splat3(origin);
-    local.boxes.set_origin(simd, &local.triangles.origin);
-    local.triangles.direction = simd.splat3(careful.direction);
+    local.test.boxes.set_direction(simd, lanes, &careful.parallel);
+    local.test.boxes.set_origin(simd, origin, query.widen);
+    (local.test.triangles.origin, local.test.triangles.direction) = (origin, careful.direction);
     local.base = space.frame.base;
-    local.origin = origin;
     local.origin_error = query.origin_error_in(&space.frame, origin);
-    local.forget_origin_if_lost(simd);
+    local.forget_origin_if_lost();
     careful.invalid
 }
 
@@ -91,6 +91,7 @@ impl Careful {
         let mut query = QueryRay {
             origin: exact.origin(),
             origin_error: 0.0,
+            widen: BoxRay::WIDEN_LEAST,
             direction_sum: (1.0 + 1e-6) * direction.iter().map(|x| x.abs() as f32).sum::<f32>(),
             t_factors: [1.0 / exact.scale() / factor, space.frame.scale],
             t_start: 0.0,
@@ -105,6 +106,7 @@ impl Careful {
         }
         let error = (query.origin_error + COORDINATE_ROUNDING) * space.frame.scale;
         let parallel = ParallelAxes::new(direction, error as f32 * (1.0 + 1e-6), &space.parallel);
+        query.widen = parallel.widen();
         Careful { query, direction: direction.map(|x| x as f32), parallel, invalid }
     }
 }
@@ -115,6 +117,7 @@ impl QueryRay {
         origin: [0.0; 3],
         origin_error: 0.0,
         direction_sum: 0.0,
+        widen: BoxRay::WIDEN_LEAST,
         t_factors: [1.0; 2],
         t_start: 0.0,
         is_plain: false,
@@ -212,75 +215,60 @@ pub(super) const MARGIN: f32 = 1.0 / (1u32 << 18) as f32;
 const MARGIN_F64: f64 = 4.0 * f64::EPSILON;
 
 /// A query ray in one tree's space.
-#[derive(Clone, Copy)]
-pub(crate) struct LocalRay<S: Simd> {
-    pub boxes: BoxRay<S>,
-    pub triangles: TriangleRay<S>,
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LocalRay {
+    pub test: TestRay,
     pub(super) base: [f64; 3],
-    pub(super) origin: [f32; 3],
-    /// How far `origin` is off, per axis.
+    /// How far the test's origin is off, per axis.
     pub(super) origin_error: f32,
 }
 
-impl<S: Simd> LocalRay<S> {
+impl LocalRay {
     /// No ray yet.
-    #[inline(always)]
-    pub fn unset(simd: S) -> LocalRay<S> {
-        let zero = simd.splat(0.0);
-        LocalRay {
-            boxes: BoxRay::unset(simd),
-            triangles: TriangleRay { origin: [zero; 3], direction: [zero; 3], bounds: ErrorBounds::UNSET },
-            base: [0.0; 3],
-            origin: [0.0; 3],
-            origin_error: 0.0,
-        }
-    }
+    pub const UNSET: LocalRay = LocalRay { test: TestRay::UNSET, base: [0.0; 3], origin_error: 0.0 };
 
     /// Moves the ray into the space of another tree of the same model; costs nothing if that has the same base.
     #[inline(always)]
-    pub fn enter_frame(&mut self, simd: S, query: &QueryRay, frame: &Frame) {
+    pub fn enter_frame<S: Simd>(&mut self, simd: S, query: &QueryRay, frame: &Frame) {
         if frame.base == self.base {
             return;
         }
         let origin = local_origin(query.origin, frame);
-        self.triangles.origin = simd.splat3(origin);
-        self.boxes.set_origin(simd, &self.triangles.origin);
-        (self.base, self.origin) = (frame.base, origin);
+        self.test.triangles.origin = origin;
+        self.test.boxes.set_origin(simd, origin, query.widen);
+        self.base = frame.base;
         self.origin_error = query.origin_error_in(frame, origin);
-        self.forget_origin_if_lost(simd);
+        self.forget_origin_if_lost();
     }
 
     /// For a ray that starts near or outside the end of the range of f32 and does not approach: every box passes, and no
     /// triangle is rejected.
     #[inline(always)]
-    fn forget_origin_if_lost(&mut self, simd: S) {
+    fn forget_origin_if_lost(&mut self) {
         if self.origin_error.is_nan() || self.origin_error >= LOCAL_MAX {
-            self.boxes.set_origin_unknown(simd);
-            self.triangles.origin = simd.splat3([0.0; 3]);
-            (self.origin, self.origin_error) = ([0.0; 3], f32::INFINITY);
+            self.test.boxes.set_origin_unknown();
+            (self.test.triangles.origin, self.origin_error) = ([0.0; 3], f32::INFINITY);
         }
     }
 
-    /// Sets the bounds of the reject test for triangles between `low` and `high` whose vertices are off by at most
-    /// `vertex_error` per axis.
+    /// The bounds of the reject test for triangles between `low` and `high` whose vertices are off by at most `vertex_error`
+    /// per axis.
     #[inline(always)]
-    pub fn set_reach(
-        &mut self,
+    pub fn bounds<S: Simd>(
+        &self,
         simd: S,
         query: &QueryRay,
-        low: &[f32; 3],
-        high: &[f32; 3],
+        (low, high): (&[f32; 3], &[f32; 3]),
         vertex_error: f32,
-    ) {
+    ) -> ErrorBounds<S> {
         // One instruction, unlike `f32::max`, which orders NaN.
         let max = |a: f32, b: f32| if a > b { a } else { b };
-        let [x, y, z] = self.origin;
+        let [x, y, z] = self.test.triangles.origin;
         let x = max(high[0] - x, x - low[0]);
         let y = max(high[1] - y, y - low[1]);
         let z = max(high[2] - z, z - low[2]);
         let reach = max(max(x, y), z) * (1.0 + 1e-6) + self.origin_error + vertex_error;
-        self.triangles.bounds =
-            ErrorBounds::new(simd, query.direction_sum, reach, self.origin_error, vertex_error);
+        ErrorBounds::new(simd, query.direction_sum, reach, self.origin_error, vertex_error)
     }
 }
 

@@ -3,7 +3,7 @@
 use super::frame::Space;
 use super::ray::{LocalRay, MARGIN, ORIGIN_ROUNDING, QueryRay, power_of_two, prepare_with_care};
 use crate::geom::Ray;
-use crate::simd::{BoxRays, Interval, LANES, Operation, Simd};
+use crate::simd::{BoxRay, Interval, LANES, Operation, RayBundle, RayRows, Simd};
 
 /// Up to eight rays made ready together, in the frame of the coarse tree: most of what a ray takes before its first box is
 /// arithmetic on a few numbers, and eight rays of it cost little more than one.
@@ -14,10 +14,9 @@ use crate::simd::{BoxRays, Interval, LANES, Operation, Simd};
 pub(crate) struct RayGroup {
     /// Bit `i`: ray `i` is plain.
     plain: u32,
-    boxes: BoxRays,
-    /// By axis, then by ray.
-    origin: [[f32; LANES]; 3],
-    direction: [[f32; LANES]; 3],
+    rows: RayRows,
+    /// If all eight rays are plain and go much the same way.
+    bundle: Option<RayBundle>,
     origin_error: [f32; LANES],
     direction_sum: [f32; LANES],
     /// The largest magnitude in each ray's direction as it came.
@@ -33,6 +32,9 @@ const LONGEST_END: f32 = (1u64 << 61) as f32;
 
 /// Plain rays end there or later, and begin there or later or at 0: the ends then round to f32 like other numbers.
 const END_MIN: f32 = 1.0 / (1u128 << 100) as f32;
+
+/// A bit for each lane.
+const ALL: u32 = (1 << LANES) - 1;
 
 impl RayGroup {
     /// For `rays`, of which those from the ninth on are left out.
@@ -92,11 +94,15 @@ impl RayGroup {
         let (begin, end) = (simd.mul(t_min, unit), simd.mul(t_max, unit));
         // What rounds to infinity need not be that.
         let finite_end = simd.mul(simd.min(t_max, simd.splat(f32::MAX)), unit);
+        let plain = simd.bits(plain);
+        let (direction, origin) = ([dx, dy, dz], [ox, oy, oz]);
         RayGroup {
-            plain: simd.bits(plain),
-            boxes: BoxRays::new(simd, &[dx, dy, dz], &[ox, oy, oz]),
-            origin: [simd.to_array(ox), simd.to_array(oy), simd.to_array(oz)],
-            direction: [simd.to_array(dx), simd.to_array(dy), simd.to_array(dz)],
+            plain,
+            rows: RayRows::new(simd, &direction, &origin),
+            bundle: match plain {
+                ALL => RayBundle::new(simd, &direction, &origin, space.together),
+                _ => None,
+            },
             origin_error: simd.to_array(origin_error),
             direction_sum: simd.to_array(direction_sum),
             longest,
@@ -115,7 +121,7 @@ impl RayGroup {
         ray: &Ray,
         space: &Space,
         query: &mut QueryRay,
-        local: &mut LocalRay<S>,
+        local: &mut LocalRay,
     ) -> Option<&'static str> {
         if self.plain >> lane & 1 == 0 {
             return prepare_with_care(simd, ray, space, query, local);
@@ -126,25 +132,32 @@ impl RayGroup {
             origin: ray.origin,
             origin_error: 0.0,
             direction_sum: self.direction_sum[lane],
+            widen: BoxRay::WIDEN_LEAST,
             t_factors: [power_of_two(i64::from(exponent)), space.frame.scale],
             t_start: 0.0,
             is_plain: true,
         };
-        self.boxes.get(simd, lane, &mut local.boxes);
-        local.origin = [self.origin[0][lane], self.origin[1][lane], self.origin[2][lane]];
-        local.origin_error = self.origin_error[lane];
-        local.base = space.frame.base;
-        local.triangles.origin = simd.splat3(local.origin);
-        local.triangles.direction =
-            simd.splat3([self.direction[0][lane], self.direction[1][lane], self.direction[2][lane]]);
+        local.test = *self.rows.get(lane);
+        (local.base, local.origin_error) = (space.frame.base, self.origin_error[lane]);
         None
+    }
+
+    /// If there are eight rays, all of them plain, that go much the same way: for finding out what any of them may meet.
+    #[inline(always)]
+    pub fn bundle(&self) -> Option<&RayBundle> {
+        self.bundle.as_ref()
+    }
+
+    /// A number that no ray of the group begins before, if all are plain.
+    #[inline(always)]
+    pub fn first_low(&self) -> f32 {
+        self.outer[0].iter().fold(f32::INFINITY, |least, low| if *low < least { *low } else { least })
     }
 
     /// An interval that holds all of ray `lane`, which is plain.
     #[inline(always)]
-    pub fn outer<S: Simd>(&self, simd: S, lane: usize) -> (Interval<S::F>, f32) {
-        let [low, high] = [self.outer[0][lane % LANES], self.outer[1][lane % LANES]];
-        (Interval { low: simd.splat(low), high: simd.splat(high) }, high)
+    pub fn outer(&self, lane: usize) -> (f32, f32) {
+        (self.outer[0][lane % LANES], self.outer[1][lane % LANES])
     }
 
     /// An interval that lies inside ray `lane`, which is plain.
@@ -236,7 +249,7 @@ mod tests {
                         let origin = if plain % 2 == 0 { [0.5, 0.1, -0.3] } else { [1e-300, -0.0, 0.25] };
                         let ray = Ray { t_min, t_max, ..Ray::new(origin, direction) };
                         let group = RayGroup::new(simd, &[ray], &space);
-                        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+                        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
                         let invalid = group.prepare(simd, 0, &ray, &space, &mut query, &mut local);
                         assert_eq!(invalid.is_some(), ray.validate().is_err(), "{ray:?}");
                         if !query.is_plain() {
@@ -249,8 +262,7 @@ mod tests {
                         let [quick, careful] = exact.map(|frame| format!("{frame:?}"));
                         assert_eq!(quick, careful);
                         // More than a rounding and less than the margin on either side of what f64 gives.
-                        let (outer, high) = group.outer(simd, 0);
-                        let low = simd.to_array(outer.low)[0];
+                        let (low, high) = group.outer(0);
                         assert!(low <= query.local_low(t_min) * (1.0 + 1e-6), "{ray:?}: {low}");
                         assert!(low >= query.local_low(t_min) * (1.0 - 1e-6), "{ray:?}: {low}");
                         assert!(high >= query.local_high(t_max) * (1.0 - 1e-6), "{ray:?}: {high}");
@@ -275,6 +287,41 @@ mod tests {
                 let (plain, careful) = dispatch(level, Intervals(space));
                 assert!(plain > 300 && careful > 300, "{plain} {careful}");
             }
+        }
+    }
+
+    /// Which groups are bundles.
+    struct Bundles(Space);
+
+    impl AnyOperation for Bundles {
+        type Output = ();
+
+        fn run<S: Simd>(self, simd: S) {
+            let space = self.0;
+            let fan = |width: f64| {
+                (0..LANES).map(move |lane| Ray::new([0.3, 0.2, -1.5], [0.2 + width * lane as f64, 0.3, 1.0]))
+            };
+            let is_bundle = |rays: &[Ray]| RayGroup::new(simd, rays, &space).bundle().is_some();
+            let narrow: Vec<Ray> = fan(0.01).collect();
+            assert!(is_bundle(&narrow));
+            assert!(!is_bundle(&narrow[1..]), "seven rays");
+            assert!(!is_bundle(&fan(0.1).collect::<Vec<_>>()), "rays that part");
+            assert!(!is_bundle(&fan(-0.04).collect::<Vec<_>>()), "rays that go different ways");
+            let mut one_along = narrow.clone();
+            one_along[3].direction[0] = 0.0;
+            assert!(!is_bundle(&one_along), "one is not plain");
+            let mut one_apart = narrow.clone();
+            one_apart[7].origin[1] += 0.5;
+            assert!(!is_bundle(&one_apart), "one begins elsewhere");
+        }
+    }
+
+    #[test]
+    fn bundles_are_eight_plain_rays_that_stay_together() {
+        let bounds = Aabb { min: [-1.0; 3], max: [1.0; 3] };
+        let space = Space::new(bounds, Frame { base: [0.0; 3], scale: 1.0 }, true);
+        for level in [SimdLevel::Portable, SimdLevel::best()] {
+            dispatch(level, Bundles(space));
         }
     }
 }

@@ -18,8 +18,7 @@ use crate::units::MaterialId;
 ///
 /// Materials: 0 the floor (a mirror in part), 1 glass (about every third wheel), 2 to 13 opaque colours.
 ///
-/// The standard view is eye (-1.1, -2.1, 2.6), look at the origin, up z, 45 degrees vertically, with point lights at
-/// (2, 4, 4), (-2, 4, 3), (2, -2.5, 2.5), (-1, -4, 2) and (-1.111, -2.121, 2.626).
+/// The standard view is from [`Gears::EYE`] at the origin, up z, 45 degrees vertically, with point lights at [`Gears::LAMPS`].
 ///
 /// ```
 /// use outcrop::procedural::{Gears, Shape};
@@ -49,6 +48,12 @@ const FOOT: f64 = 0.30;
 const TIP: f64 = 0.14;
 
 impl Gears {
+    /// The eye of the standard view.
+    pub const EYE: [f64; 3] = [-1.1, -2.1, 2.6];
+    /// The point lights of the standard view.
+    pub const LAMPS: [[f64; 3]; 5] =
+        [[2.0, 4.0, 4.0], [-2.0, 4.0, 3.0], [2.0, -2.5, 2.5], [-1.0, -4.0, 2.0], [-1.111, -2.121, 2.626]];
+
     /// The standard tessellation: 27,456 `n`^3 + 96 triangles.
     ///
     /// # Errors

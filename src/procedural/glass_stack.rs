@@ -1,6 +1,6 @@
 //! Transparent plates, one behind the other.
 
-use super::{CUBOID_FACES, Shape};
+use super::{CUBOID_FACES, Shape, cuboid_corners};
 use crate::error::CompileError;
 use crate::import::{MeshSink, VertexBatch};
 use crate::model::MaterialRecord;
@@ -54,18 +54,13 @@ impl Shape for GlassStack {
             ..MaterialRecord::default()
         })?;
         sink.material(MaterialRecord { name: "ground".to_string(), ..MaterialRecord::default() })?;
-        let at = |corner: u32, low: f32, high: f32| {
-            let side = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
-            [side(0), side(1), if corner >> 2 == 0 { low } else { high }]
-        };
+        let corners = |low: f32, high: f32| cuboid_corners([-1.0, -1.0, low], [1.0, 1.0, high]);
         for plate in 0..self.plates {
             let (low, high) = ((1.0 + plate as f32) * self.spacing, (1.5 + plate as f32) * self.spacing);
-            let corners: [[f32; 3]; 8] = std::array::from_fn(|corner| at(corner as u32, low, high));
-            sink.vertices(VertexBatch::Float32(&corners))?;
+            sink.vertices(VertexBatch::Float32(&corners(low, high)))?;
             sink.triangles(&CUBOID_FACES.map(|face| face.map(|corner| 8 * plate + corner)), MaterialId(0))?;
         }
-        let ground: [[f32; 3]; 4] = std::array::from_fn(|corner| at(corner as u32, 0.0, 0.0));
-        sink.vertices(VertexBatch::Float32(&ground))?;
+        sink.vertices(VertexBatch::Float32(&corners(0.0, 0.0)[..4]))?;
         sink.triangles(&[[0, 1, 3], [0, 3, 2]].map(|face| face.map(|k| 8 * self.plates + k)), MaterialId(1))?;
         sink.vertices_complete()
     }

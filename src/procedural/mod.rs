@@ -2,7 +2,7 @@
 //!
 //! Every model is a [`Shape`]: it knows its exact counts and writes itself into a
 //! [`MeshSink`](crate::import::MeshSink) as a stream, the same stream every time and on every machine
-//! (trigonometry comes from `libm`, random numbers from a generator of this room). [`export`] writes any of them
+//! (trigonometry comes from `libm`, random numbers from the library's generator). [`export`] writes any of them
 //! to a model file.
 
 mod assembly;
@@ -12,9 +12,8 @@ pub mod export;
 mod gears;
 mod glass_stack;
 mod icosphere;
-
 mod needles;
-mod random;
+pub(crate) mod random;
 mod shape;
 mod soup;
 mod terrain;
@@ -23,7 +22,7 @@ mod torus_field;
 
 pub use assembly::Assembly;
 pub use closed::open_edges;
-pub use cuboid::CUBOID_FACES;
+pub use cuboid::{CUBOID_FACES, cuboid_corners};
 pub use gears::Gears;
 pub use glass_stack::GlassStack;
 pub use icosphere::Icosphere;

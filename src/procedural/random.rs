@@ -1,8 +1,8 @@
 //! Seeded random numbers: SplitMix64 (Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators",
-//! OOPSLA 2014). Not for anything but test models.
+//! OOPSLA 2014). For test models, and for what tests make happen; pictures have numbers of their own, keyed by sample.
 
-#[derive(Clone)]
-pub(super) struct Random {
+#[derive(Clone, Debug)]
+pub(crate) struct Random {
     state: u64,
 }
 
@@ -17,6 +17,11 @@ impl Random {
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^ (z >> 31)
+    }
+
+    /// Below `count`, which is not 0.
+    pub fn below(&mut self, count: usize) -> usize {
+        (self.next_u64() % count as u64) as usize
     }
 
     /// Uniform in `0 .. 1`, a multiple of 2^-53.

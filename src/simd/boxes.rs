@@ -14,30 +14,36 @@ use super::lanes::{LANES, Simd};
 /// highest `-inf`, which no ray meets.
 pub type Boxes = [[f32; LANES]; 6];
 
-/// A ray ready for box tests. Directions are scaled so that the largest magnitude is in `1.0 .. 2.0`.
-#[derive(Clone, Copy)]
-pub struct BoxRay<S: Simd> {
-    // By name, not in an array: what is only ever named can live in registers.
-    x: Axis<S>,
-    y: Axis<S>,
-    z: Axis<S>,
-    /// What to widen the origin by, per axis.
-    widen: [f32; 3],
+/// A ray ready for box tests. Directions are scaled so that the largest magnitude is in `1.0 .. 2.0`. Single numbers, spread
+/// over the lanes where they are used: from memory that costs what loading a vector does, and a ray stays small.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub struct BoxRay {
+    x: Axis,
+    y: Axis,
+    z: Axis,
 }
 
-/// One axis of a ray.
-#[derive(Clone, Copy)]
-struct Axis<S: Simd> {
+/// One axis of a ray: six words.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Axis {
     /// Makes the entry into a slab from its nearer plane: `plane * near_inverse + near_offset`.
-    near_inverse: S::F,
-    near_offset: S::F,
+    near_inverse: f32,
+    near_offset: f32,
     /// Makes the exit from the farther plane.
-    far_inverse: S::F,
-    far_offset: S::F,
-    /// Eight times the row of `Boxes` (0 ..= 5) that the ray enters by, and of the opposite one, which it leaves by: where the
-    /// row begins, so that no instruction is spent on finding it. Nothing else is ever written here.
-    near_row: u32,
-    far_row: u32,
+    far_inverse: f32,
+    far_offset: f32,
+    rows: Rows,
+}
+
+/// The rows of [`Boxes`] that a ray enters and leaves slabs by: eight times 0 ..= 5, where the row begins, so that no instruction
+/// is spent on finding it. Nothing else is ever written here.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub(super) struct Rows {
+    near: u32,
+    far: u32,
 }
 
 /// More than `(1 + 2^-24)^8`, with room for the rounding of the product with it.
@@ -86,6 +92,11 @@ impl ParallelAxes {
     /// For a direction that is oblique ([`BoxRay::is_oblique`]) and an origin that is exact before it is rounded to f32.
     pub const NONE: ParallelAxes = ParallelAxes { inverse: [0.0; LANES], widen: [TINY; LANES] };
 
+    /// What to widen the origin by, per axis: for [`BoxRay::set_origin`].
+    pub fn widen(&self) -> [f32; 3] {
+        [self.widen[0], self.widen[1], self.widen[2]]
+    }
+
     /// For any direction whose largest magnitude is in `1.0 .. 2.0`, and an origin that is off by `origin_error` per
     /// axis before it is rounded to f32.
     pub fn new(direction: [f64; 3], origin_error: f32, parallel: &Parallel) -> ParallelAxes {
@@ -102,31 +113,31 @@ impl ParallelAxes {
     }
 }
 
-impl<S: Simd> BoxRay<S> {
+impl BoxRay {
+    /// No ray yet: both setters are to be called.
+    pub const UNSET: BoxRay = {
+        let axis = Axis {
+            near_inverse: 0.0,
+            near_offset: 0.0,
+            far_inverse: 0.0,
+            far_offset: 0.0,
+            rows: Rows::of(0, false),
+        };
+        BoxRay { x: axis, y: axis, z: axis }
+    };
+
+    /// What to widen the origin of an oblique ray by that is exact before it is rounded to f32: as [`ParallelAxes::NONE`].
+    pub const WIDEN_LEAST: [f32; 3] = [TINY; 3];
+
     /// Whether the direction in lanes 0 to 2 is along no axis.
     #[inline(always)]
-    pub fn is_oblique(simd: S, direction: S::F, parallel: &Parallel) -> bool {
+    pub fn is_oblique<S: Simd>(simd: S, direction: S::F, parallel: &Parallel) -> bool {
         simd.bits(simd.le(simd.splat(parallel.below), simd.abs(direction))) & 7 == 7
-    }
-
-    /// No ray yet: both setters are to be called.
-    #[inline(always)]
-    pub fn unset(simd: S) -> BoxRay<S> {
-        let zero = simd.splat(0.0);
-        let axis = Axis {
-            near_inverse: zero,
-            near_offset: zero,
-            far_inverse: zero,
-            far_offset: zero,
-            near_row: 0,
-            far_row: 0,
-        };
-        BoxRay { x: axis, y: axis, z: axis, widen: [0.0; 3] }
     }
 
     /// Sets the direction, in lanes 0 to 2, rounded. The origin is to be set after it.
     #[inline(always)]
-    pub fn set_direction(&mut self, simd: S, direction: S::F, parallel: &ParallelAxes) {
+    pub fn set_direction<S: Simd>(&mut self, simd: S, direction: S::F, parallel: &ParallelAxes) {
         let zero = simd.splat(0.0);
         let stand_in = simd.load(&parallel.inverse);
         let inverse = simd.div(simd.splat(1.0), direction);
@@ -134,26 +145,34 @@ impl<S: Simd> BoxRay<S> {
         let negative = simd.bits(simd.lt(inverse, zero)) as usize;
         let near = simd.to_array(inverse);
         let far = simd.to_array(simd.mul(inverse, simd.splat(WIDEN)));
-        self.x.set_direction(simd, near[0], far[0], 0, negative & 1);
-        self.y.set_direction(simd, near[1], far[1], 1, negative >> 1 & 1);
-        self.z.set_direction(simd, near[2], far[2], 2, negative >> 2 & 1);
-        self.widen = [parallel.widen[0], parallel.widen[1], parallel.widen[2]];
+        self.x.set_direction(near[0], far[0], 0, negative & 1);
+        self.y.set_direction(near[1], far[1], 1, negative >> 1 & 1);
+        self.z.set_direction(near[2], far[2], 2, negative >> 2 & 1);
     }
 
-    /// Sets the origin, each coordinate in all lanes, rounded to nearest.
+    /// Sets the origin, rounded to nearest. `widen`: [`ParallelAxes::widen`] of the direction.
     #[inline(always)]
-    pub fn set_origin(&mut self, simd: S, origin: &[S::F; 3]) {
-        self.x.set_origin(simd, origin[0], simd.splat(self.widen[0]));
-        self.y.set_origin(simd, origin[1], simd.splat(self.widen[1]));
-        self.z.set_origin(simd, origin[2], simd.splat(self.widen[2]));
+    pub fn set_origin<S: Simd>(&mut self, simd: S, origin: [f32; 3], widen: [f32; 3]) {
+        let near_inverse = [self.x.near_inverse, self.y.near_inverse, self.z.near_inverse];
+        let far_inverse = [self.x.far_inverse, self.y.far_inverse, self.z.far_inverse];
+        let (near, far) = offsets(
+            simd,
+            first_three(simd, origin),
+            first_three(simd, widen),
+            first_three(simd, near_inverse),
+            first_three(simd, far_inverse),
+        );
+        let (near, far) = (simd.to_array(near), simd.to_array(far));
+        (self.x.near_offset, self.x.far_offset) = (near[0], far[0]);
+        (self.y.near_offset, self.y.far_offset) = (near[1], far[1]);
+        (self.z.near_offset, self.z.far_offset) = (near[2], far[2]);
     }
 
     /// Lets the origin be anywhere, so that every box passes but the empty ones.
-    pub fn set_origin_unknown(&mut self, simd: S) {
-        let (near, far) = (simd.splat(f32::MIN), simd.splat(f32::MAX));
-        (self.x.near_offset, self.x.far_offset) = (near, far);
-        (self.y.near_offset, self.y.far_offset) = (near, far);
-        (self.z.near_offset, self.z.far_offset) = (near, far);
+    pub fn set_origin_unknown(&mut self) {
+        for axis in [&mut self.x, &mut self.y, &mut self.z] {
+            (axis.near_offset, axis.far_offset) = (f32::MIN, f32::MAX);
+        }
     }
 
     /// Tests eight boxes against the part of the ray between `t_min` and `t_max`. Bit `i` of the result is set if the
@@ -161,17 +180,23 @@ impl<S: Simd> BoxRay<S> {
     /// where (never less than `t_min`). A clear bit is certain if the ray's true interval lies inside
     /// `t_min ..= t_max`.
     #[inline(always)]
-    pub fn test(&self, simd: S, boxes: &Boxes, t_min: S::F, t_max: S::F) -> (S::F, u32) {
+    pub fn test<S: Simd>(&self, simd: S, boxes: &Boxes, t_min: S::F, t_max: S::F) -> (S::F, u32) {
         let (mut near, mut far) = (t_min, t_max);
-        self.x.clip(simd, self.x.planes(simd, boxes), &mut near, &mut far);
-        self.y.clip(simd, self.y.planes(simd, boxes), &mut near, &mut far);
-        self.z.clip(simd, self.z.planes(simd, boxes), &mut near, &mut far);
+        self.x.clip(simd, self.x.rows.planes(simd, boxes), &mut near, &mut far);
+        self.y.clip(simd, self.y.rows.planes(simd, boxes), &mut near, &mut far);
+        self.z.clip(simd, self.z.rows.planes(simd, boxes), &mut near, &mut far);
         (near, simd.bits(simd.le(near, far)))
     }
 
     /// [`BoxRay::test`] for packed boxes, except for the lanes that hold no box.
     #[inline(always)]
-    pub fn test_packed(&self, simd: S, boxes: &PackedBoxes, t_min: S::F, t_max: S::F) -> (S::F, u32) {
+    pub fn test_packed<S: Simd>(
+        &self,
+        simd: S,
+        boxes: &PackedBoxes,
+        t_min: S::F,
+        t_max: S::F,
+    ) -> (S::F, u32) {
         let (mut near, mut far) = (t_min, t_max);
         self.x.clip(simd, self.x.packed_planes(simd, boxes), &mut near, &mut far);
         self.y.clip(simd, self.y.packed_planes(simd, boxes), &mut near, &mut far);
@@ -200,120 +225,85 @@ fn offsets<S: Simd>(
     (near, simd.mul(simd.sub(step, origin), far_inverse))
 }
 
-/// Eight rays made ready for box tests at once: oblique ones ([`BoxRay::is_oblique`]) with origins that are exact before they
-/// are rounded to f32. The same as [`BoxRay::set_direction`] and [`BoxRay::set_origin`] for each, at a third of the price.
-#[derive(Clone, Copy, Debug)]
-pub struct BoxRays {
-    axes: [AxisOfRays; 3],
+/// Three numbers in the first lanes.
+#[inline(always)]
+fn first_three<S: Simd>(simd: S, [x, y, z]: [f32; 3]) -> S::F {
+    simd.load(&[x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0])
 }
 
-/// One axis of eight rays: see [`Axis`].
-#[derive(Clone, Copy, Debug)]
-struct AxisOfRays {
-    near_inverse: [f32; LANES],
-    near_offset: [f32; LANES],
-    far_inverse: [f32; LANES],
-    far_offset: [f32; LANES],
-    /// The rows, as bits.
-    near_row: [f32; LANES],
-    far_row: [f32; LANES],
+/// Words of a [`BoxRay`].
+pub(super) const BOX_RAY_WORDS: usize = size_of::<BoxRay>() / 4;
+
+/// Eight rays made ready for box tests at once, word by word of a [`BoxRay`]: oblique ones ([`BoxRay::is_oblique`]) with
+/// origins that are exact before they are rounded to f32. The same as [`BoxRay::set_direction`] and [`BoxRay::set_origin`]
+/// for each, at a fraction of the price. Lane `i` is ray `i`: directions, largest magnitude 1 to 2, and origins, both rounded.
+#[inline(always)]
+pub(super) fn box_ray_words<S: Simd>(
+    simd: S,
+    direction: &[S::F; 3],
+    origin: &[S::F; 3],
+) -> [S::F; BOX_RAY_WORDS] {
+    let [a, b, c, d, e, f] = axis_words(simd, direction[0], origin[0], 0);
+    let [g, h, i, j, k, l] = axis_words(simd, direction[1], origin[1], 1);
+    let [m, n, o, p, q, r] = axis_words(simd, direction[2], origin[2], 2);
+    [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q, r]
 }
 
-impl BoxRays {
-    /// Lane `i` is ray `i`: directions, largest magnitude 1 to 2, and origins, both rounded.
-    #[inline(always)]
-    pub fn new<S: Simd>(simd: S, direction: &[S::F; 3], origin: &[S::F; 3]) -> BoxRays {
-        BoxRays {
-            axes: [
-                AxisOfRays::new(simd, direction[0], origin[0], 0),
-                AxisOfRays::new(simd, direction[1], origin[1], 1),
-                AxisOfRays::new(simd, direction[2], origin[2], 2),
-            ],
-        }
-    }
-
-    /// Puts ray `lane` (below 8) into `ray`.
-    #[inline(always)]
-    pub fn get<S: Simd>(&self, simd: S, lane: usize, ray: &mut BoxRay<S>) {
-        let lane = lane % LANES;
-        self.axes[0].get(simd, lane, &mut ray.x);
-        self.axes[1].get(simd, lane, &mut ray.y);
-        self.axes[2].get(simd, lane, &mut ray.z);
-        ray.widen = [TINY; 3];
-    }
+/// The words of an [`Axis`], in its order.
+#[inline(always)]
+fn axis_words<S: Simd>(simd: S, direction: S::F, origin: S::F, axis: usize) -> [S::F; 6] {
+    let inverse = simd.div(simd.splat(1.0), direction);
+    let far_inverse = simd.mul(inverse, simd.splat(WIDEN));
+    let (near_offset, far_offset) = offsets(simd, origin, simd.splat(TINY), inverse, far_inverse);
+    let negative = simd.lt(inverse, simd.splat(0.0));
+    // As bits.
+    let low = simd.splat(f32::from_bits(LOW_ROWS[axis]));
+    let high = simd.splat(f32::from_bits(HIGH_ROWS[axis]));
+    let (near_row, far_row) = (simd.select(negative, high, low), simd.select(negative, low, high));
+    [inverse, near_offset, far_inverse, far_offset, near_row, far_row]
 }
 
-impl AxisOfRays {
+impl Rows {
+    /// For rays that go up or down `axis`.
     #[inline(always)]
-    fn new<S: Simd>(simd: S, direction: S::F, origin: S::F, axis: usize) -> AxisOfRays {
-        let inverse = simd.div(simd.splat(1.0), direction);
-        let far_inverse = simd.mul(inverse, simd.splat(WIDEN));
-        let (near_offset, far_offset) = offsets(simd, origin, simd.splat(TINY), inverse, far_inverse);
-        let negative = simd.lt(inverse, simd.splat(0.0));
-        let (low, high) =
-            (simd.splat(f32::from_bits(LOW_ROWS[axis])), simd.splat(f32::from_bits(HIGH_ROWS[axis])));
-        AxisOfRays {
-            near_inverse: simd.to_array(inverse),
-            near_offset: simd.to_array(near_offset),
-            far_inverse: simd.to_array(far_inverse),
-            far_offset: simd.to_array(far_offset),
-            near_row: simd.to_array(simd.select(negative, high, low)),
-            far_row: simd.to_array(simd.select(negative, low, high)),
-        }
+    pub const fn of(axis: usize, goes_down: bool) -> Rows {
+        let (low, high) = (LOW_ROWS[axis], HIGH_ROWS[axis]);
+        if goes_down { Rows { near: high, far: low } } else { Rows { near: low, far: high } }
     }
 
+    /// The planes by which a ray enters and leaves the slabs of eight boxes.
     #[inline(always)]
-    fn get<S: Simd>(&self, simd: S, lane: usize, axis: &mut Axis<S>) {
-        axis.near_inverse = simd.splat(self.near_inverse[lane]);
-        axis.near_offset = simd.splat(self.near_offset[lane]);
-        axis.far_inverse = simd.splat(self.far_inverse[lane]);
-        axis.far_offset = simd.splat(self.far_offset[lane]);
-        // As `AxisOfRays::new` put them there.
-        (axis.near_row, axis.far_row) = (self.near_row[lane].to_bits(), self.far_row[lane].to_bits());
-    }
-}
-
-impl<S: Simd> Axis<S> {
-    /// `negative` is 1 or 0.
-    #[inline(always)]
-    fn set_direction(&mut self, simd: S, near_inverse: f32, far_inverse: f32, axis: usize, negative: usize) {
-        self.near_inverse = simd.splat(near_inverse);
-        self.far_inverse = simd.splat(far_inverse);
-        let rows =
-            if negative == 1 { [HIGH_ROWS[axis], LOW_ROWS[axis]] } else { [LOW_ROWS[axis], HIGH_ROWS[axis]] };
-        [self.near_row, self.far_row] = rows;
-    }
-
-    #[inline(always)]
-    fn set_origin(&mut self, simd: S, origin: S::F, widen: S::F) {
-        (self.near_offset, self.far_offset) =
-            offsets(simd, origin, widen, self.near_inverse, self.far_inverse);
-    }
-
-    /// Where the ray enters and leaves the slabs of eight boxes.
-    #[inline(always)]
-    fn planes(&self, simd: S, boxes: &Boxes) -> (S::F, S::F) {
+    pub fn planes<S: Simd>(&self, simd: S, boxes: &Boxes) -> (S::F, S::F) {
         let numbers = boxes.as_flattened();
         // SAFETY: the rows are eight times 0 ..= 5, and six rows of eight numbers are there.
         unsafe {
             (
-                simd.load_unchecked(numbers, self.near_row as usize),
-                simd.load_unchecked(numbers, self.far_row as usize),
+                simd.load_unchecked(numbers, self.near as usize),
+                simd.load_unchecked(numbers, self.far as usize),
             )
         }
     }
+}
+
+impl Axis {
+    /// `negative` is 1 or 0.
+    #[inline(always)]
+    fn set_direction(&mut self, near_inverse: f32, far_inverse: f32, axis: usize, negative: usize) {
+        (self.near_inverse, self.far_inverse) = (near_inverse, far_inverse);
+        self.rows = Rows::of(axis, negative == 1);
+    }
 
     #[inline(always)]
-    fn packed_planes(&self, simd: S, boxes: &PackedBoxes) -> (S::F, S::F) {
+    fn packed_planes<S: Simd>(&self, simd: S, boxes: &PackedBoxes) -> (S::F, S::F) {
         // SAFETY: the rows are eight times 0 ..= 5.
-        unsafe { (boxes.row(simd, self.near_row as usize), boxes.row(simd, self.far_row as usize)) }
+        unsafe { (boxes.row(simd, self.rows.near as usize), boxes.row(simd, self.rows.far as usize)) }
     }
 
     /// Narrows `near ..= far` to what lies between two planes.
     #[inline(always)]
-    fn clip(&self, simd: S, (near_plane, far_plane): (S::F, S::F), near: &mut S::F, far: &mut S::F) {
-        let entry = simd.mul_add(near_plane, self.near_inverse, self.near_offset);
-        let exit = simd.mul_add(far_plane, self.far_inverse, self.far_offset);
+    fn clip<S: Simd>(&self, simd: S, (near_plane, far_plane): (S::F, S::F), near: &mut S::F, far: &mut S::F) {
+        let entry = simd.mul_add(near_plane, simd.splat(self.near_inverse), simd.splat(self.near_offset));
+        let exit = simd.mul_add(far_plane, simd.splat(self.far_inverse), simd.splat(self.far_offset));
         // NaN, from infinities of opposite sign, adds no constraint: `max` and `min` then keep their second operand.
         *near = simd.max(entry, *near);
         *far = simd.min(exit, *far);
@@ -365,7 +355,18 @@ impl PackedBoxes {
         packed
     }
 
-    /// The boxes as the test sees them.
+    /// The boxes as the test sees them, for several rays; and a bit for each lane that holds one. The other lanes hold anything.
+    #[inline(always)]
+    pub fn unpack_for_tests<S: Simd>(&self, simd: S) -> (Boxes, u32) {
+        let mut boxes = [[0.0; LANES]; 6];
+        for (row, sides) in boxes.iter_mut().enumerate() {
+            // SAFETY: eight times 0 ..= 5.
+            *sides = simd.to_array(unsafe { self.row(simd, LANES * row) });
+        }
+        (boxes, self.used)
+    }
+
+    /// The boxes, and lanes that hold none as [`Boxes`] has them.
     pub fn unpack(&self) -> Boxes {
         let mut boxes = [[f32::INFINITY; LANES]; 6];
         for (row, sides) in boxes.iter_mut().enumerate() {

@@ -7,15 +7,19 @@
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 mod boxes;
+mod bundle;
 mod lanes;
 mod level;
+mod ray_rows;
 #[cfg(test)]
 mod tests;
 mod triangles;
 mod watertight;
 
-pub use boxes::{BoxRay, BoxRays, Boxes, PackedBoxes, Parallel, ParallelAxes};
+pub use boxes::{BoxRay, Boxes, PackedBoxes, Parallel, ParallelAxes};
+pub use bundle::RayBundle;
 pub use lanes::{LANES, Portable, Simd};
 pub use level::{AnyOperation, Operation, SimdLevel, dispatch};
+pub use ray_rows::{RayRows, TestRay};
 pub use triangles::{ErrorBounds, Interval, Packet, PacketRows, TriangleRay};
 pub use watertight::Shear;

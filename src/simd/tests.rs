@@ -79,11 +79,9 @@ impl AnyOperation for Triangles {
             }
             let (edge, reach) = (edge * 1.000_001, reach * 1.000_001);
             let sum = direction.iter().map(|x| x.abs()).sum::<f32>() * 1.000_001;
-            let ray = TriangleRay {
-                origin: simd.splat3(origin),
-                direction: simd.splat3(direction),
-                bounds: ErrorBounds::new(simd, sum, reach, 0.0, 0.0),
-            };
+            let ray = TriangleRay { origin, direction };
+            let bounds = ErrorBounds::new(simd, sum, reach, 0.0, 0.0);
+            let bounds = (&bounds, edge);
             let packet = PacketRows::new(&rows, LANES).packet(simd, 0);
             let t_max = if round % 2 == 0 { f32::INFINITY } else { 2.0 * self.scale };
             let outer = Interval { low: simd.splat(0.0), high: simd.splat(t_max * 1.001) };
@@ -91,8 +89,8 @@ impl AnyOperation for Triangles {
                 low: simd.splat(1e-30),
                 high: simd.splat(if t_max == f32::INFINITY { f32::MAX } else { t_max * 0.999 }),
             };
-            let (survivors, certain) = ray.survivors_and_certain(simd, &packet, edge, &outer, &inner);
-            assert_eq!(survivors, ray.survivors(simd, &packet, edge, &outer));
+            let (survivors, certain) = ray.survivors_and_certain(simd, &packet, bounds, &outer, &inner);
+            assert_eq!(survivors, ray.survivors(simd, &packet, bounds, &outer));
             assert_eq!(certain & !survivors, 0);
             let exact = Ray { t_max: f64::from(t_max), ..Ray::new(wide(origin), wide(direction)) };
             for (lane, triangle) in triangles.iter().enumerate() {
@@ -160,9 +158,10 @@ impl AnyOperation for BoxesOp {
                 }
             }
             let lanes = |x: [f32; 3]| simd.load(&[x[0], x[1], x[2], 1.0, 1.0, 1.0, 1.0, 1.0]);
-            let mut ray = BoxRay::unset(simd);
-            ray.set_direction(simd, lanes(direction), &ParallelAxes::new(wide(direction), 0.0, &parallel));
-            ray.set_origin(simd, &simd.splat3(origin));
+            let mut ray = BoxRay::UNSET;
+            let axes = ParallelAxes::new(wide(direction), 0.0, &parallel);
+            ray.set_direction(simd, lanes(direction), &axes);
+            ray.set_origin(simd, origin, axes.widen());
             let (near, hits) = ray.test(simd, &boxes, simd.splat(0.0), simd.splat(100.0));
             let near = simd.to_array(near);
             for lane in 0..LANES {
@@ -221,7 +220,7 @@ impl AnyOperation for GroupsOp {
             let [ox, oy, oz, dx, dy, dz, tenth, most] = simd.transpose(&rows);
             assert_eq!(simd.to_array(tenth), [0.1f64 as f32; LANES]);
             assert_eq!(simd.to_array(most), [f32::INFINITY; LANES]);
-            let group = BoxRays::new(simd, &[dx, dy, dz], &[ox, oy, oz]);
+            let group = RayRows::new(simd, &[dx, dy, dz], &[ox, oy, oz]);
             let mut boxes: Boxes = [[0.0; LANES]; 6];
             for axis in 0..3 {
                 for lane in 0..LANES {
@@ -231,13 +230,13 @@ impl AnyOperation for GroupsOp {
             }
             for (lane, (origin, direction)) in rays.iter().enumerate() {
                 let [x, y, z] = *direction;
-                let mut alone = BoxRay::unset(simd);
+                let mut alone = BoxRay::UNSET;
                 let lanes = simd.load(&[x, y, z, 1.0, 1.0, 1.0, 1.0, 1.0]);
                 assert!(BoxRay::is_oblique(simd, lanes, &parallel));
                 alone.set_direction(simd, lanes, &ParallelAxes::NONE);
-                alone.set_origin(simd, &simd.splat3(*origin));
-                let mut grouped = BoxRay::unset(simd);
-                group.get(simd, lane, &mut grouped);
+                alone.set_origin(simd, *origin, BoxRay::WIDEN_LEAST);
+                let TestRay { boxes: grouped, triangles } = *group.get(lane);
+                assert_eq!((triangles.origin, triangles.direction), (*origin, *direction));
                 let [one, other] = [alone, grouped].map(|ray| {
                     let (near, hits) = ray.test(simd, &boxes, simd.splat(0.0), simd.splat(9.0));
                     (simd.to_array(near).map(f32::to_bits), hits)
@@ -252,5 +251,87 @@ impl AnyOperation for GroupsOp {
 fn rays_prepared_together_are_those_prepared_alone() {
     for level in levels() {
         dispatch(level, GroupsOp);
+    }
+}
+
+/// Bundles against their rays.
+struct BundlesOp;
+
+impl AnyOperation for BundlesOp {
+    type Output = (u32, u32);
+
+    fn run<S: Simd>(self, simd: S) -> (u32, u32) {
+        let mut random = Random(13);
+        let (mut kept, mut dropped) = (0, 0);
+        for round in 0..4000 {
+            let (base, way) = (random.vector().map(|x| 4.0 * x), random.direction());
+            let (mut origins, mut directions) = ([[0.0f32; LANES]; 3], [[0.0f32; LANES]; 3]);
+            for lane in 0..LANES {
+                let (v, w) = (random.vector(), random.vector());
+                for axis in 0..3 {
+                    // Also from one point, and nearly along planes.
+                    let spread = if round % 2 == 0 { 0.0 } else { 0.05 };
+                    origins[axis][lane] = base[axis] + spread * v[axis];
+                    let way = if way[axis] == 0.0 { 0.06 } else { way[axis] };
+                    directions[axis][lane] = way + 0.06 * w[axis];
+                    if directions[axis][lane] == 0.0 {
+                        directions[axis][lane] = 1e-9;
+                    }
+                }
+            }
+            let load =
+                |rows: &[[f32; LANES]; 3]| [simd.load(&rows[0]), simd.load(&rows[1]), simd.load(&rows[2])];
+            let (direction, origin) = (load(&directions), load(&origins));
+            let Some(bundle) = RayBundle::new(simd, &direction, &origin, 0.2) else { continue };
+            for _ in 0..8 {
+                let mut boxes: Boxes = [[0.0; LANES]; 6];
+                for lane in 0..LANES {
+                    let (low, size, t) = (random.vector(), random.vector(), 4.0 * random.next());
+                    for axis in 0..3 {
+                        let size = if size[axis] > 0.75 { 0.0 } else { size[axis].abs() };
+                        let low = base[axis] + t * way[axis] + low[axis];
+                        (boxes[axis][lane], boxes[axis + 3][lane]) = (low, low + size);
+                    }
+                }
+                let (low, high) = (simd.splat(0.0), simd.splat(9.0));
+                let (near, hits) = bundle.test(simd, &boxes, low, high);
+                let near = simd.to_array(near);
+                let mut any = 0u32;
+                for ray in 0..LANES {
+                    for lane in 0..LANES {
+                        let (mut entry, mut exit) = (0.0f64, 9.0f64);
+                        for axis in 0..3 {
+                            let (o, d) = (f64::from(origins[axis][ray]), f64::from(directions[axis][ray]));
+                            let (low, high) =
+                                (f64::from(boxes[axis][lane]), f64::from(boxes[axis + 3][lane]));
+                            let (a, b) = ((low - o) / d, (high - o) / d);
+                            (entry, exit) = (entry.max(a.min(b)), exit.min(a.max(b)));
+                        }
+                        if entry <= exit {
+                            any |= 1 << lane;
+                            assert!(
+                                hits >> lane & 1 == 1,
+                                "round {round}, ray {ray}: a box that it meets is dropped"
+                            );
+                            assert!(
+                                f64::from(near[lane]) <= entry * (1.0 + 1e-6),
+                                "round {round}, ray {ray}"
+                            );
+                        }
+                    }
+                }
+                kept += any.count_ones();
+                dropped += (!hits & 0xff).count_ones();
+            }
+        }
+        (kept, dropped)
+    }
+}
+
+#[test]
+fn a_bundle_keeps_every_box_that_one_of_its_rays_meets() {
+    for level in levels() {
+        let (kept, dropped) = dispatch(level, BundlesOp);
+        assert!(kept > 1000 && dropped > 20_000, "{kept} {dropped}");
     }
 }

@@ -114,22 +114,21 @@ fn load3<S: Simd>(simd: S, rows: &[[f32; LANES]; 3]) -> [S::F; 3] {
 }
 
 /// A ray ready for triangle tests.
-#[derive(Clone, Copy)]
-pub struct TriangleRay<S: Simd> {
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub struct TriangleRay {
     /// Origin, rounded.
-    pub origin: [S::F; 3],
+    pub origin: [f32; 3],
     /// Direction, rounded; largest magnitude 1 to 2.
-    pub direction: [S::F; 3],
-    /// Proven bounds for this ray in this block.
-    pub bounds: ErrorBounds,
+    pub direction: [f32; 3],
 }
 
 /// What the reject test must allow for: each error is a polynomial in the packet's longest edge, one in each lane.
-#[derive(Clone, Copy, Debug)]
-pub struct ErrorBounds {
-    quadratic: [f32; LANES],
-    linear: [f32; LANES],
-    constant: [f32; LANES],
+#[derive(Clone, Copy)]
+pub struct ErrorBounds<S: Simd> {
+    quadratic: S::F,
+    linear: S::F,
+    constant: S::F,
 }
 
 // The lanes.
@@ -151,21 +150,17 @@ const OF_T: [f32; LANES] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
 /// How often the loss in the subnormal range does: once in each of the three.
 const OF_TINY: [f32; LANES] = [-3.0, 7.0, 1.0, 1.0, 3.0, 0.0, 0.0, 0.0];
 
-impl ErrorBounds {
-    /// No bounds yet.
-    pub const UNSET: ErrorBounds =
-        ErrorBounds { quadratic: [0.0; LANES], linear: [0.0; LANES], constant: [0.0; LANES] };
-
+impl<S: Simd> ErrorBounds<S> {
     /// For a direction with sum of magnitudes `direction_sum`, vertices at most `reach` away from the rounded origin
     /// per axis, an origin rounded by at most `origin_error` and vertices by at most `vertex_error` per axis.
     #[inline(always)]
-    pub fn new<S: Simd>(
+    pub fn new(
         simd: S,
         direction_sum: f32,
         reach: f32,
         origin_error: f32,
         vertex_error: f32,
-    ) -> ErrorBounds {
+    ) -> ErrorBounds<S> {
         // Second-order terms and the roundings of these lines.
         const SLACK: f32 = 1.01;
         let d = SLACK * 2.0 * direction_sum;
@@ -182,19 +177,14 @@ impl ErrorBounds {
             linear = simd.mul_add(simd.splat(SLACK * 24.0 * reach * vertex_error), of_t, linear);
             constant = simd.mul_add(simd.splat(d * reach * (2.0 * vertex_error)), of_uv, constant);
         }
-        ErrorBounds {
-            quadratic: simd.to_array(quadratic),
-            linear: simd.to_array(linear),
-            constant: simd.to_array(constant),
-        }
+        ErrorBounds { quadratic, linear, constant }
     }
 
     /// The errors for a packet whose edge components are at most `edge` in magnitude.
     #[inline(always)]
-    fn at<S: Simd>(&self, simd: S, edge: f32) -> [f32; LANES] {
+    fn at(&self, simd: S, edge: f32) -> [f32; LANES] {
         let edge = simd.splat(edge);
-        let sum = simd.mul_add(edge, simd.load(&self.quadratic), simd.load(&self.linear));
-        simd.to_array(simd.mul_add(edge, sum, simd.load(&self.constant)))
+        simd.to_array(simd.mul_add(edge, simd.mul_add(edge, self.quadratic, self.linear), self.constant))
     }
 }
 
@@ -215,55 +205,62 @@ struct Weights<F> {
     det: F,
 }
 
-impl<S: Simd> TriangleRay<S> {
+impl TriangleRay {
     #[inline(always)]
-    fn weights(&self, simd: S, packet: &Packet<S>) -> Weights<S::F> {
+    fn weights<S: Simd>(&self, simd: S, packet: &Packet<S>) -> Weights<S::F> {
+        let (origin, direction) = (simd.splat3(self.origin), simd.splat3(self.direction));
         let e1 = simd.sub3(packet.b, packet.a);
         let e2 = simd.sub3(packet.c, packet.a);
-        let to_origin = simd.sub3(self.origin, packet.a);
-        let p = simd.cross(self.direction, e2);
+        let to_origin = simd.sub3(origin, packet.a);
+        let p = simd.cross(direction, e2);
         let q = simd.cross(to_origin, e1);
         let det = simd.dot(e1, p);
         Weights {
             u: simd.flip_sign(simd.dot(to_origin, p), det),
-            v: simd.flip_sign(simd.dot(self.direction, q), det),
+            v: simd.flip_sign(simd.dot(direction, q), det),
             t: simd.flip_sign(simd.dot(e2, q), det),
             det: simd.abs(det),
         }
     }
 
-    /// Bit `i` is clear only if the ray certainly misses triangle `i` within `interval`. `edge` bounds the magnitude
-    /// of the packet's edge components.
+    /// Bit `i` is clear only if the ray certainly misses triangle `i` within `interval`. The bounds are for this ray and these
+    /// triangles; `edge` bounds the magnitude of the packet's edge components.
     #[inline(always)]
-    pub fn survivors(&self, simd: S, packet: &Packet<S>, edge: f32, interval: &Interval<S::F>) -> u32 {
-        self.classify::<false>(simd, packet, edge, interval, interval).0
+    pub fn survivors<S: Simd>(
+        &self,
+        simd: S,
+        packet: &Packet<S>,
+        (bounds, edge): (&ErrorBounds<S>, f32),
+        interval: &Interval<S::F>,
+    ) -> u32 {
+        self.classify::<S, false>(simd, packet, (bounds, edge), interval, interval).0
     }
 
     /// [`TriangleRay::survivors`], and the lanes that certainly are hit inside `inner`, whose `low` is at least the
     /// true beginning and whose `high` is at most the true end.
     #[inline(always)]
-    pub fn survivors_and_certain(
+    pub fn survivors_and_certain<S: Simd>(
         &self,
         simd: S,
         packet: &Packet<S>,
-        edge: f32,
+        (bounds, edge): (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
         inner: &Interval<S::F>,
     ) -> (u32, u32) {
-        self.classify::<true>(simd, packet, edge, interval, inner)
+        self.classify::<S, true>(simd, packet, (bounds, edge), interval, inner)
     }
 
     #[inline(always)]
-    fn classify<const CERTAIN: bool>(
+    fn classify<S: Simd, const CERTAIN: bool>(
         &self,
         simd: S,
         packet: &Packet<S>,
-        edge: f32,
+        (bounds, edge): (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
         inner: &Interval<S::F>,
     ) -> (u32, u32) {
         let Weights { u, v, t, det } = self.weights(simd, packet);
-        let errors = self.bounds.at(simd, edge);
+        let errors = bounds.at(simd, edge);
         let (det_error, t_error) = (simd.splat(errors[DET]), simd.splat(errors[T]));
         let (outside, sum_error) = (simd.splat(errors[OUTSIDE]), simd.splat(errors[SUM]));
         let uv = simd.add(u, v);
@@ -293,7 +290,12 @@ impl<S: Simd> TriangleRay<S> {
 
     /// The f32 decision without bounds: which lanes are hit, and `t`, `u`, `v` of each (meaningful where hit).
     #[inline(always)]
-    pub fn decide(&self, simd: S, packet: &Packet<S>, interval: &Interval<S::F>) -> (u32, [S::F; 3]) {
+    pub fn decide<S: Simd>(
+        &self,
+        simd: S,
+        packet: &Packet<S>,
+        interval: &Interval<S::F>,
+    ) -> (u32, [S::F; 3]) {
         let Weights { u, v, t, det } = self.weights(simd, packet);
         let zero = simd.splat(0.0);
         let mut hit = simd.and(simd.le(zero, u), simd.le(zero, v));

@@ -36,7 +36,7 @@ pub(super) trait Receiver {
 pub(super) fn all_hits<S: Simd, P: Policy, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
-    Prepared { group, lane, query, local }: Prepared<'_, S>,
+    Prepared { group, lane, query, local }: Prepared<'_>,
     ray: &Ray,
     waiting: &mut WaitingHits,
     receiver: &mut dyn Receiver,

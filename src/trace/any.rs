@@ -7,13 +7,13 @@ use super::stack::{Limit, Stack};
 use super::{MaterialSet, Occlusion};
 use crate::geom::Ray;
 use crate::octree::{Child, Fine, LocalRay, QueryRay, Reached, TriangleLocation, splat_interval};
-use crate::simd::{Interval, LANES, Operation, Simd};
+use crate::simd::{ErrorBounds, Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
 
 /// One any-hit query on its way.
 struct Any<'a, S: Simd, P: Policy> {
-    local: &'a mut LocalRay<S>,
+    local: &'a mut LocalRay,
     /// What the policy needs of the ray.
     prepared: P::Ray<S>,
     /// Holds the ray's interval.
@@ -74,7 +74,7 @@ impl Unvisited {
 pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
-    Prepared { group, lane, query, local }: Prepared<'_, S>,
+    Prepared { group, lane, query, local }: Prepared<'_>,
     ray: &Ray,
     ignore: Option<&MaterialSet>,
     unvisited: &mut Unvisited,
@@ -85,14 +85,15 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
         return Err(RayError::Invalid(reason));
     }
     let (outer, inner) = if query.is_plain() {
-        (group.outer(simd, lane).0, group.inner(simd, lane))
+        let (low, high) = group.outer(lane);
+        (splat_interval(simd, low, high), group.inner(simd, lane))
     } else {
         let (low, high) = query.local_inner(ray.t_min, ray.t_max);
         let outer = splat_interval(simd, query.local_low(ray.t_min), query.local_high(ray.t_max));
         (outer, splat_interval(simd, low, high))
     };
     let mut any: Any<'_, S, P> = Any {
-        prepared: P::prepare(simd, &local.triangles),
+        prepared: P::prepare(simd, &local.test.triangles),
         local,
         outer,
         inner,
@@ -131,7 +132,7 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
                     }
                 },
             };
-            let (_, hits) = any.local.boxes.test_packed(simd, sub_boxes, any.outer.low, any.outer.high);
+            let (_, hits) = any.local.test.boxes.test_packed(simd, sub_boxes, any.outer.low, any.outer.high);
             if hits != 0 {
                 match work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)? {
                     Some(slot) => {
@@ -162,10 +163,11 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
             }
         } else {
             let node = coarse.node(child);
-            let (near, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
+            let (near, hits) = any.local.test.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
             if hits != 0 {
                 // In order of distance: what blocks a ray is often near, and then fewer blocks are touched.
-                child = stack.push_sorted(simd, &node.children, near, hits, |child| coarse.prefetch(simd, child));
+                child =
+                    stack.push_sorted(simd, &node.children, near, hits, |child| coarse.prefetch(simd, child));
                 continue;
             }
         }
@@ -179,7 +181,7 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
             listed = 0;
             match unvisited.stopped_at.take() {
                 Some(block) => {
-                    child = stack.return_to(simd, coarse, block, &any.local.boxes, &any.outer);
+                    child = stack.return_to(simd, coarse, block, &any.local.test.boxes, &any.outer);
                     continue;
                 }
                 None => break,
@@ -220,8 +222,7 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
         if !any.shares_frame {
             any.local.enter_frame(simd, any.query, &fine.frame());
         }
-        let (low, high) = fine.extents();
-        any.local.set_reach(simd, any.query, low, high, fine.vertex_error());
+        let bounds = any.local.bounds(simd, any.query, fine.extents(), fine.vertex_error());
         let prefetch = |child| fine.prefetch(simd, child);
         let (groups, used) = fine.groups();
         let mut child = match hits & used {
@@ -233,14 +234,14 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
                 if child == Child::NONE {
                     return false;
                 }
-                if any.visit_leaf::<EXPANDED>(simd, &fine, child, exact, counters) {
+                if any.visit_leaf::<EXPANDED>(simd, (&fine, &bounds), child, exact, counters) {
                     return true;
                 }
                 child = stack.pop(Limit::NONE);
             }
             let node = fine.node(child);
             counters.box_tests += 1;
-            let (_, hits) = any.local.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
+            let (_, hits) = any.local.test.boxes.test(simd, &node.bounds, any.outer.low, any.outer.high);
             child = match hits {
                 0 => stack.pop(Limit::NONE),
                 _ => stack.push_unsorted(&node.children, hits, prefetch),
@@ -254,7 +255,7 @@ impl<S: Simd, P: Policy> Any<'_, S, P> {
     fn visit_leaf<const EXPANDED: bool>(
         &mut self,
         simd: S,
-        fine: &Fine<'_>,
+        (fine, bounds): (&Fine<'_>, &ErrorBounds<S>),
         leaf: Child,
         exact: &mut ExactRay,
         counters: &mut TraceCounters,
@@ -268,13 +269,13 @@ impl<S: Simd, P: Policy> Any<'_, S, P> {
             let packet = triangles_of_leaf.packet(simd, first);
             let lanes = lanes_in_use(count - first);
             // Lanes that may be hit, and those of them that need no decision.
-            let triangles = &self.local.triangles;
+            let triangles = &self.local.test.triangles;
             let (possible, certain, seen) = P::candidates_and_certain(
                 simd,
                 &self.prepared,
                 triangles,
                 &packet,
-                edge,
+                (bounds, edge),
                 &self.outer,
                 &self.inner,
             );

@@ -10,7 +10,7 @@ use crate::geom::{Ray, TriangleHit};
 use crate::octree::{
     Child, Fine, LazyOctree, LocalRay, QueryRay, RayGroup, Reached, TriangleLocation, splat_interval,
 };
-use crate::simd::{Interval, LANES, Operation, Simd};
+use crate::simd::{ErrorBounds, Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::{BlockId, TriangleId};
 
@@ -25,32 +25,35 @@ pub(super) struct Work<'t, 'o> {
 }
 
 /// A ray of a group, and what it is prepared into.
-pub(super) struct Prepared<'p, S: Simd> {
+pub(super) struct Prepared<'p> {
     pub group: &'p RayGroup,
     pub lane: usize,
     pub query: &'p mut QueryRay,
-    pub local: &'p mut LocalRay<S>,
+    pub local: &'p mut LocalRay,
 }
 
 /// One closest-hit query on its way.
-struct Closest<'r, S: Simd, P: Policy, K: Keep> {
-    local: &'r mut LocalRay<S>,
+pub(super) struct Closest<'r, S: Simd, P: Policy, K: Keep> {
+    pub local: &'r mut LocalRay,
     /// What the policy needs of the ray.
-    prepared: P::Ray<S>,
-    interval: Interval<S::F>,
-    /// What waits beyond `interval.high` need not be visited.
-    limit: Limit,
+    pub prepared: P::Ray<S>,
+    /// Holds the part of the ray where hits would be kept, in the coarse tree's frame. Single numbers, like those of the ray:
+    /// see [`BoxRay`](crate::simd::BoxRay).
+    pub low: f32,
+    pub high: f32,
+    /// What waits beyond `high` need not be visited.
+    pub limit: Limit,
     /// Whether blocks have the frame of the coarse tree.
-    shares_frame: bool,
-    query: &'r QueryRay,
-    ray: &'r Ray,
+    pub shares_frame: bool,
+    pub query: &'r QueryRay,
+    pub ray: &'r Ray,
     /// Where hits may begin: `ray.t_min` or the `t` in `after`.
-    t_min: f64,
+    pub t_min: f64,
     /// Where the hits that would be kept end: the best hit's `t`, or the ray's end.
-    t_max: f64,
+    pub t_max: f64,
     /// Only hits strictly after this count.
-    after: Option<(f64, TriangleId)>,
-    kept: &'r mut K,
+    pub after: Option<(f64, TriangleId)>,
+    pub kept: &'r mut K,
 }
 
 /// Offers to `kept`, which is empty at first, hits strictly greater than `after` by (t, id): all that it would keep (I3).
@@ -60,7 +63,7 @@ struct Closest<'r, S: Simd, P: Policy, K: Keep> {
 pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
     simd: S,
     work: &mut Work<'_, '_>,
-    Prepared { group, lane, query, local }: Prepared<'_, S>,
+    Prepared { group, lane, query, local }: Prepared<'_>,
     ray: &Ray,
     after: Option<(f64, TriangleId)>,
     from: Option<BlockId>,
@@ -81,16 +84,16 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
     // As `offer` left them.
     let end = kept.end();
     let t_max = end.filter(|end| *end < f64::MAX).unwrap_or(ray.t_max);
-    let (interval, high) = if query.is_plain() && after.is_none() && end.is_none() {
-        group.outer(simd, lane)
+    let (low, high) = if query.is_plain() && after.is_none() && end.is_none() {
+        group.outer(lane)
     } else {
-        let high = query.local_high(end.unwrap_or(ray.t_max));
-        (splat_interval(simd, query.local_low(t_min), high), high)
+        (query.local_low(t_min), query.local_high(end.unwrap_or(ray.t_max)))
     };
     let mut closest: Closest<'_, S, P, K> = Closest {
-        prepared: P::prepare(simd, &local.triangles),
+        prepared: P::prepare(simd, &local.test.triangles),
         local,
-        interval,
+        low,
+        high,
         limit: Limit::new(high),
         shares_frame: work.octree.space.is_shared,
         query,
@@ -104,12 +107,14 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
     let mut stack = Stack::new(work.stack);
     let mut child = match from {
         None => Child::COARSE_ROOT,
-        Some(block) => stack.return_to(simd, coarse, block, &closest.local.boxes, &closest.interval),
+        Some(block) => {
+            stack.return_to(simd, coarse, block, &closest.local.test.boxes, &closest.interval(simd))
+        }
     };
     let mut box_tests = 0;
     let stopped = loop {
         box_tests += 1;
-        let Closest { local, interval, .. } = &closest;
+        let (local, interval) = (&closest.local, closest.interval(simd));
         if child.is_leaf() {
             let block = child.block_index();
             let sub_boxes = match coarse.sub_boxes.get(block as usize) {
@@ -123,7 +128,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
                     }
                 },
             };
-            let (near, hits) = local.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
+            let (near, hits) = local.test.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
                 if !closest.kept.pass(|| stack.least_near(simd, near, hits), closest.query) {
                     break None;
@@ -151,9 +156,10 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
             }
         } else {
             let node = coarse.node(child);
-            let (near, hits) = local.boxes.test(simd, &node.bounds, interval.low, interval.high);
+            let (near, hits) = local.test.boxes.test(simd, &node.bounds, interval.low, interval.high);
             if hits != 0 {
-                child = stack.push_sorted(simd, &node.children, near, hits, |child| coarse.prefetch(simd, child));
+                child =
+                    stack.push_sorted(simd, &node.children, near, hits, |child| coarse.prefetch(simd, child));
                 continue;
             }
         }
@@ -167,16 +173,16 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
 }
 
 /// The traversal of one block. A function of its own, so that the registers are its own.
-struct VisitBlock<'v, 'r, S: Simd, P: Policy, K: Keep, const EXPANDED: bool> {
-    closest: &'v mut Closest<'r, S, P, K>,
-    slot: &'v [u8],
+pub(super) struct VisitBlock<'v, 'r, S: Simd, P: Policy, K: Keep, const EXPANDED: bool> {
+    pub closest: &'v mut Closest<'r, S, P, K>,
+    pub slot: &'v [u8],
     /// Where the ray enters the block's sub-boxes, and which.
-    near: S::F,
-    hits: u32,
+    pub near: S::F,
+    pub hits: u32,
     /// Its entries stay where they are.
-    stack: Stack<'v>,
-    exact: &'v mut ExactRay,
-    counters: &'v mut TraceCounters,
+    pub stack: Stack<'v>,
+    pub exact: &'v mut ExactRay,
+    pub counters: &'v mut TraceCounters,
 }
 
 impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
@@ -191,8 +197,7 @@ impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
         if !closest.shares_frame {
             closest.local.enter_frame(simd, closest.query, &fine.frame());
         }
-        let (low, high) = fine.extents();
-        closest.local.set_reach(simd, closest.query, low, high, fine.vertex_error());
+        let bounds = closest.local.bounds(simd, closest.query, fine.extents(), fine.vertex_error());
         let mut box_tests = 0;
         let prefetch = |child| fine.prefetch(simd, child);
         let (groups, used) = fine.groups();
@@ -206,13 +211,13 @@ impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
                     counters.box_tests += box_tests;
                     return;
                 }
-                closest.visit_leaf::<EXPANDED>(simd, &fine, child, exact, counters);
+                closest.visit_leaf::<EXPANDED>(simd, (&fine, &bounds), child, exact, counters);
                 child = stack.pop(closest.limit);
             }
             let node = fine.node(child);
             box_tests += 1;
-            let boxes = &closest.local.boxes;
-            let (near, hits) = boxes.test(simd, &node.bounds, closest.interval.low, closest.interval.high);
+            let (boxes, interval) = (&closest.local.test.boxes, closest.interval(simd));
+            let (near, hits) = boxes.test(simd, &node.bounds, interval.low, interval.high);
             child = match hits {
                 0 => stack.pop(closest.limit),
                 _ => stack.push_sorted(simd, &node.children, near, hits, prefetch),
@@ -250,17 +255,23 @@ impl<S: Simd, P: Policy, K: Keep> Operation<S> for Settle<'_, '_, S, P, K> {
             t_max: closest.t_max,
         };
         if let Some(hit) = P::settle(simd, seen, &candidate, exact, counters) {
-            closest.offer(simd, fine, at, hit, vertices);
+            closest.offer(fine, at, hit, vertices);
         }
     }
 }
 
 impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
+    /// The part of the ray where hits would be kept.
+    #[inline(always)]
+    pub fn interval(&self, simd: S) -> Interval<S::F> {
+        splat_interval(simd, self.low, self.high)
+    }
+
     #[inline(always)]
     fn visit_leaf<const EXPANDED: bool>(
         &mut self,
         simd: S,
-        fine: &Fine<'_>,
+        (fine, bounds): (&Fine<'_>, &ErrorBounds<S>),
         leaf: Child,
         exact: &mut ExactRay,
         counters: &mut TraceCounters,
@@ -273,9 +284,9 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
         while first < count {
             let packet = triangles_of_leaf.packet(simd, first);
             let lanes = lanes_in_use(count - first);
-            let triangles = &self.local.triangles;
+            let triangles = &self.local.test.triangles;
             let (candidates, seen) =
-                P::candidates(simd, &self.prepared, triangles, &packet, edge, &self.interval);
+                P::candidates(simd, &self.prepared, triangles, &packet, (bounds, edge), &self.interval(simd));
             let mut candidates = candidates & lanes;
             while candidates != 0 {
                 let lane = candidates.trailing_zeros() as usize;
@@ -291,7 +302,6 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
     #[inline(always)]
     fn offer(
         &mut self,
-        simd: S,
         fine: &Fine<'_>,
         at: TriangleLocation,
         TriangleHit { t, u, v }: TriangleHit,
@@ -312,8 +322,7 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
             self.t_max = end;
         }
         let high = self.query.local_high(end);
-        self.limit = Limit::new(high);
-        self.interval.high = simd.splat(high);
+        (self.high, self.limit) = (high, Limit::new(high));
     }
 }
 

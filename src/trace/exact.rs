@@ -2,8 +2,7 @@
 //! registers, and reused from ray to ray.
 
 use crate::error::{LoadError, TraceError};
-use crate::geom::{Ray, RayFrame, TriangleHit};
-use crate::simd::{Operation, Simd};
+use crate::geom::{Ray, RayFrame};
 
 /// The ray of the query at hand, for decisions.
 pub(super) struct ExactRay {
@@ -22,50 +21,22 @@ impl ExactRay {
         self.ready = false;
     }
 
-    /// The certified decision for one triangle, for hits from `t_min` to `t_max`. The ray is the same from call to call.
-    #[inline(always)]
-    pub fn decide<S: Simd>(
-        &mut self,
-        simd: S,
-        (ray, is_plain): (&Ray, bool),
-        (t_min, t_max): (f64, f64),
-        vertices: &[[f64; 3]; 3],
-        exact_fallbacks: &mut u64,
-    ) -> Option<TriangleHit> {
-        simd.enter(Decide { exact: self, ray, is_plain, t_min, t_max, vertices, exact_fallbacks })
-    }
-
-    /// The ray prepared, for hits from `t_min` to `t_max`. `is_plain`: see [`RayGroup`](crate::octree::RayGroup).
+    /// The ray prepared, for hits from `t_min` to `t_max`; the ray is the same from call to call. `is_plain`: see
+    /// [`RayGroup`](crate::octree::RayGroup).
     #[inline(always)]
     pub fn frame(&mut self, ray: &Ray, is_plain: bool, t_min: f64, t_max: f64) -> &RayFrame {
         if !self.ready {
-            self.frame = if is_plain { RayFrame::of_plain(ray) } else { new_frame(ray) };
+            // Each is written where it belongs: one that is chosen first and moved then goes through memory twice.
+            if is_plain {
+                self.frame = RayFrame::of_plain(ray);
+            } else {
+                self.frame = new_frame(ray);
+            }
             self.ready = true;
             self.frame.t_min = t_min;
         }
         self.frame.t_max = t_max;
         &self.frame
-    }
-}
-
-/// [`ExactRay::decide`], once for each set of instructions and not for each kernel.
-struct Decide<'d> {
-    exact: &'d mut ExactRay,
-    ray: &'d Ray,
-    is_plain: bool,
-    t_min: f64,
-    t_max: f64,
-    vertices: &'d [[f64; 3]; 3],
-    exact_fallbacks: &'d mut u64,
-}
-
-impl<S: Simd> Operation<S> for Decide<'_> {
-    type Output = Option<TriangleHit>;
-
-    #[inline(always)]
-    fn run(self, _: S) -> Option<TriangleHit> {
-        let Decide { exact, ray, is_plain, t_min, t_max, vertices, exact_fallbacks } = self;
-        exact.frame(ray, is_plain, t_min, t_max).intersect_inlined(vertices, exact_fallbacks)
     }
 }
 

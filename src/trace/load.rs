@@ -81,6 +81,11 @@ impl<'o> Pins<'o> {
         Pins { places: (0..count).map(|_| None).collect(), mask: count - 1, log, loads: true }
     }
 
+    /// Whether accesses are written down.
+    pub fn writes_down(&self) -> bool {
+        self.log.is_some()
+    }
+
     /// To be called before each query: the log, if there is one, tells queries apart.
     #[inline(always)]
     pub fn begin_query(&mut self, kind: QueryKind) {

@@ -64,6 +64,7 @@ mod pool;
 mod requests;
 mod stack;
 mod suspended;
+mod together;
 mod tracer;
 
 pub use crossings::Crossing;

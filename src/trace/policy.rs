@@ -4,7 +4,7 @@
 use super::exact::ExactRay;
 use crate::geom::{Ray, TriangleHit, intersect_plain};
 use crate::octree::QueryRay;
-use crate::simd::{Interval, Packet, Shear, Simd, TriangleRay};
+use crate::simd::{ErrorBounds, Interval, Packet, Shear, Simd, TriangleRay};
 use crate::stats::TraceCounters;
 
 /// A triangle that a kernel let through.
@@ -27,15 +27,16 @@ pub(super) trait Policy {
     type Seen<S: Simd>;
 
     /// Prepares a ray. Directions are the same in all frames.
-    fn prepare<S: Simd>(simd: S, triangles: &TriangleRay<S>) -> Self::Ray<S>;
+    fn prepare<S: Simd>(simd: S, triangles: &TriangleRay) -> Self::Ray<S>;
 
-    /// The lanes of `packet` that may be hit within `interval`. `edge` bounds the magnitude of the packet's edges.
+    /// The lanes of `packet` that may be hit within `interval`. `bounds`: for the ray in this block, and a bound on the
+    /// magnitude of the packet's edges.
     fn candidates<S: Simd>(
         simd: S,
         prepared: &Self::Ray<S>,
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        edge: f32,
+        bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
     ) -> (u32, Self::Seen<S>);
 
@@ -44,13 +45,13 @@ pub(super) trait Policy {
     fn candidates_and_certain<S: Simd>(
         simd: S,
         prepared: &Self::Ray<S>,
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        edge: f32,
+        bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
         _inner: &Interval<S::F>,
     ) -> (u32, u32, Self::Seen<S>) {
-        let (candidates, seen) = Self::candidates(simd, prepared, triangles, packet, edge, interval);
+        let (candidates, seen) = Self::candidates(simd, prepared, triangles, packet, bounds, interval);
         (candidates, 0, seen)
     }
 
@@ -72,37 +73,37 @@ impl Policy for Certified {
     type Seen<S: Simd> = ();
 
     #[inline(always)]
-    fn prepare<S: Simd>(_: S, _: &TriangleRay<S>) {}
+    fn prepare<S: Simd>(_: S, _: &TriangleRay) {}
 
     #[inline(always)]
     fn candidates<S: Simd>(
         simd: S,
         (): &(),
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        edge: f32,
+        bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
     ) -> (u32, ()) {
-        (triangles.survivors(simd, packet, edge, interval), ())
+        (triangles.survivors(simd, packet, bounds, interval), ())
     }
 
     #[inline(always)]
     fn candidates_and_certain<S: Simd>(
         simd: S,
         (): &(),
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        edge: f32,
+        bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
         inner: &Interval<S::F>,
     ) -> (u32, u32, ()) {
-        let (survivors, certain) = triangles.survivors_and_certain(simd, packet, edge, interval, inner);
+        let (survivors, certain) = triangles.survivors_and_certain(simd, packet, bounds, interval, inner);
         (survivors, certain, ())
     }
 
     #[inline(always)]
     fn settle<S: Simd>(
-        simd: S,
+        _: S,
         (): &(),
         candidate: &Candidate<'_>,
         exact: &mut ExactRay,
@@ -110,8 +111,8 @@ impl Policy for Certified {
     ) -> Option<TriangleHit> {
         let Candidate { ray, query, vertices, t_min, t_max, .. } = *candidate;
         counters.decisions += 1;
-        let ray = (ray, query.is_plain());
-        exact.decide(simd, ray, (t_min, t_max), vertices, &mut counters.exact_fallbacks)
+        let frame = exact.frame(ray, query.is_plain(), t_min, t_max);
+        frame.intersect_inlined(vertices, &mut counters.exact_fallbacks)
     }
 }
 
@@ -123,15 +124,15 @@ impl Policy for Exact {
     type Seen<S: Simd> = ();
 
     #[inline(always)]
-    fn prepare<S: Simd>(_: S, _: &TriangleRay<S>) {}
+    fn prepare<S: Simd>(_: S, _: &TriangleRay) {}
 
     #[inline(always)]
     fn candidates<S: Simd>(
         _: S,
         (): &(),
-        _: &TriangleRay<S>,
+        _: &TriangleRay,
         _: &Packet<S>,
-        _: f32,
+        _: (&ErrorBounds<S>, f32),
         _: &Interval<S::F>,
     ) -> (u32, ()) {
         (u32::MAX, ())
@@ -160,18 +161,18 @@ impl Policy for Double {
     type Seen<S: Simd> = ();
 
     #[inline(always)]
-    fn prepare<S: Simd>(_: S, _: &TriangleRay<S>) {}
+    fn prepare<S: Simd>(_: S, _: &TriangleRay) {}
 
     #[inline(always)]
     fn candidates<S: Simd>(
         simd: S,
         (): &(),
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        edge: f32,
+        bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
     ) -> (u32, ()) {
-        (triangles.survivors(simd, packet, edge, interval), ())
+        (triangles.survivors(simd, packet, bounds, interval), ())
     }
 
     #[inline(always)]
@@ -196,15 +197,15 @@ impl Policy for Fast {
     type Seen<S: Simd> = [S::F; 3];
 
     #[inline(always)]
-    fn prepare<S: Simd>(_: S, _: &TriangleRay<S>) {}
+    fn prepare<S: Simd>(_: S, _: &TriangleRay) {}
 
     #[inline(always)]
     fn candidates<S: Simd>(
         simd: S,
         (): &(),
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        _: f32,
+        _: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
     ) -> (u32, [S::F; 3]) {
         triangles.decide(simd, packet, interval)
@@ -214,9 +215,9 @@ impl Policy for Fast {
     fn candidates_and_certain<S: Simd>(
         simd: S,
         (): &(),
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        _: f32,
+        _: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
         _: &Interval<S::F>,
     ) -> (u32, u32, [S::F; 3]) {
@@ -244,34 +245,33 @@ impl Policy for Watertight {
     type Seen<S: Simd> = [S::F; 3];
 
     #[inline(always)]
-    fn prepare<S: Simd>(simd: S, triangles: &TriangleRay<S>) -> Shear<S> {
-        let [x, y, z] = triangles.direction;
-        Shear::new(simd, [simd.to_array(x)[0], simd.to_array(y)[0], simd.to_array(z)[0]])
+    fn prepare<S: Simd>(simd: S, triangles: &TriangleRay) -> Shear<S> {
+        Shear::new(simd, triangles.direction)
     }
 
     #[inline(always)]
     fn candidates<S: Simd>(
         simd: S,
         shear: &Shear<S>,
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        _: f32,
+        _: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
     ) -> (u32, [S::F; 3]) {
-        shear.decide(simd, packet, triangles.origin, interval)
+        shear.decide(simd, packet, simd.splat3(triangles.origin), interval)
     }
 
     #[inline(always)]
     fn candidates_and_certain<S: Simd>(
         simd: S,
         shear: &Shear<S>,
-        triangles: &TriangleRay<S>,
+        triangles: &TriangleRay,
         packet: &Packet<S>,
-        _: f32,
+        _: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
         _: &Interval<S::F>,
     ) -> (u32, u32, [S::F; 3]) {
-        let (hits, seen) = shear.decide(simd, packet, triangles.origin, interval);
+        let (hits, seen) = shear.decide(simd, packet, simd.splat3(triangles.origin), interval);
         (hits, hits, seen)
     }
 

@@ -256,7 +256,7 @@ impl Kernel for Closest<'_, '_> {
     fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let Closest { pool, requests, on_missing, block, answers } = self;
         let RayPool { tracer, suspended, .. } = pool;
-        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         let (loads, new_weight) = on_missing.parts();
         let mut work = tracer.work();
         let mut new = requests.iter();
@@ -332,7 +332,7 @@ impl Kernel for Any<'_, '_> {
     fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let Any { pool, requests, on_missing, block, answers } = self;
         let RayPool { tracer, suspended, ignore, .. } = pool;
-        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         let (loads, new_weight) = on_missing.parts();
         let mut work = tracer.work();
         let mut unvisited = Unvisited::UNSET;

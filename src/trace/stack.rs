@@ -160,7 +160,7 @@ impl<'e> Stack<'e> {
         simd: S,
         coarse: &CoarseTree,
         block: BlockId,
-        boxes: &BoxRay<S>,
+        boxes: &BoxRay,
         interval: &Interval<S::F>,
     ) -> Child {
         let leaf = Child::block(block.0);

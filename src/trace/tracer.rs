@@ -11,6 +11,7 @@ use super::keep::WaitingHits;
 use super::load::{LoadScratch, Pins};
 use super::policy::{Certified, Double, Exact, Fast, Policy, Watertight};
 use super::stack::{Entries, UNUSED};
+use super::together::{Lanes, closest_hits_together};
 use super::{Hit, MaterialSet, Occlusion};
 use crate::access::QueryKind;
 use crate::budget::Reservation;
@@ -190,10 +191,24 @@ impl Query for ClosestHits<'_, '_> {
     #[inline(always)]
     fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
-        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
+        let mut lanes = Lanes::UNSET;
+        // What is written down of a query is one ray's.
+        let may_join = self.after.is_empty() && work.octree.space.is_shared && !work.pins.writes_down();
         let mut index = 0;
         for (rays, hits) in self.rays.chunks(LANES).zip(self.hits.chunks_mut(LANES)) {
             let group = RayGroup::new(simd, rays, &work.octree.space);
+            if let Some(bundle) = group.bundle()
+                && may_join
+            {
+                work.counters.rays += LANES as u64;
+                hits.fill(None);
+                let bundle = (&group, bundle);
+                closest_hits_together::<S, P, EXPANDED>(simd, &mut work, bundle, rays, hits, &mut lanes)
+                    .map_err(|error| error.at(index))?;
+                index += LANES;
+                continue;
+            }
             for (lane, (ray, hit)) in rays.iter().zip(hits).enumerate() {
                 work.counters.rays += 1;
                 work.pins.begin_query(QueryKind::Closest);
@@ -229,7 +244,7 @@ impl Query for Occlusions<'_, '_> {
     #[inline(always)]
     fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
-        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         let mut unvisited = Unvisited::UNSET;
         let mut index = 0;
         for (rays, out) in self.rays.chunks(LANES).zip(self.out.chunks_mut(LANES)) {
@@ -271,7 +286,7 @@ impl Query for AllHits<'_, '_> {
     #[inline(always)]
     fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
         let AllHits { mut work, waiting, rays, receiver } = self;
-        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::unset(simd));
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         for (index, ray) in rays.iter().enumerate() {
             work.counters.rays += 1;
             receiver.begin(index, ray);

@@ -12,6 +12,7 @@ use parking_lot::Mutex;
 
 use super::{FRAME_BYTES_MAX, PeerId, Transport, TransportEvent};
 use crate::error::TransportError;
+use crate::procedural::random::Random;
 
 /// How long a frame is on its way.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,7 +65,7 @@ const WAITING_BYTES_MAX: usize = 16 << 20;
 
 struct World {
     now: Duration,
-    random: u64,
+    random: Random,
     link: LinkModel,
     nodes: Vec<Endpoint>,
     ways: HashMap<PeerId, Way>,
@@ -90,7 +91,7 @@ impl SimNetwork {
     pub fn new(seed: u64, link: LinkModel) -> SimNetwork {
         let world = World {
             now: Duration::ZERO,
-            random: seed,
+            random: Random::new(seed),
             link,
             nodes: Vec::new(),
             ways: HashMap::new(),
@@ -145,15 +146,6 @@ impl SimNetwork {
 }
 
 impl World {
-    /// SplitMix64, as in `source::testing`.
-    fn random(&mut self) -> u64 {
-        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.random;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
     fn hear_each_other(&self, a: Node, b: Node) -> bool {
         let group = |node| self.groups.get(&node).copied().unwrap_or(0);
         group(a) == group(b)
@@ -171,8 +163,7 @@ impl World {
         }
         let bytes = if let TransportEvent::Frame { bytes, .. } = &event { bytes.len() } else { 0 };
         let LinkModel { latency_min, latency_max, bytes_per_second } = self.link;
-        let share = (self.random() >> 11) as f64 / (1u64 << 53) as f64;
-        let latency = latency_min + latency_max.saturating_sub(latency_min).mul_f64(share);
+        let latency = latency_min + latency_max.saturating_sub(latency_min).mul_f64(self.random.unit());
         let sent = self.nodes[from].line_free.max(self.now)
             + Duration::from_secs_f64((bytes as f64 / bytes_per_second).min(1e9));
         self.nodes[from].line_free = sent;

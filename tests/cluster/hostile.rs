@@ -14,7 +14,8 @@ use outcrop::error::TransportError;
 use outcrop::transport::{SharedKey, TcpOptions, TcpTransport, Transport, TransportEvent};
 use outcrop::units::Bytes;
 
-use super::support::{Random, coordinator_options, job, model, reference, worker_options};
+use super::numbers::Random;
+use super::support::{coordinator_options, job, model, reference, worker_options};
 
 const GREETING: &[u8; 12] = b"\x89ocnet\r\n\x01\x00\x00\x00";
 
@@ -106,7 +107,7 @@ fn strangers_are_refused() {
     let mut random = Random(3);
     for length in [48u16, 48, 100] {
         let mut bytes = [&GREETING[..], &length.to_le_bytes()].concat();
-        bytes.extend((0..length).map(|_| random.next() as u8));
+        bytes.extend((0..length).map(|_| random.bits() as u8));
         hung_up(stranger(&node, &bytes));
         assert!(refusal(&node).contains("key"));
     }

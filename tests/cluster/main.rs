@@ -1,7 +1,11 @@
 //! The cluster as a whole: simulated with faults, in threads, as processes, and with hostile peers.
 
+#[path = "../support/compiled.rs"]
+mod compiled;
 mod hostile;
 mod messages;
+#[path = "../support/numbers.rs"]
+mod numbers;
 mod processes;
 mod simulated;
 mod support;

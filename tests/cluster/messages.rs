@@ -2,7 +2,8 @@
 
 use outcrop::cluster::{BLOCKS_MAX, LeasedCells, Message, RANGE_BYTES_MAX, Role};
 
-use super::support::{Random, job};
+use super::numbers::Random;
+use super::support::job;
 
 fn messages() -> Vec<(Message, Vec<u8>)> {
     let what = LeasedCells { lease: 1 << 40, tile: 3, cells: 0xff00_0000_0000_0001 };
@@ -78,7 +79,7 @@ fn damaged_frames_are_errors_or_other_messages_and_never_panics() {
     assert!(refused > 500, "{refused}");
     let mut random = Random(1);
     for _ in 0..20_000 {
-        let bytes: Vec<u8> = (0..random.below(60)).map(|_| random.next() as u8).collect();
+        let bytes: Vec<u8> = (0..random.below(60)).map(|_| random.bits() as u8).collect();
         let _ = Message::parse(&bytes);
     }
 }

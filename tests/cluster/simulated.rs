@@ -14,7 +14,7 @@ use outcrop::schedule::SchedulerOptions;
 use outcrop::transport::{LinkModel, SimNetwork, SimTransport, Transport, TransportEvent};
 use outcrop::units::Bytes;
 
-use super::support::Random;
+use super::numbers::Random;
 
 const SIZE: [u32; 2] = [171, 130];
 
@@ -24,7 +24,7 @@ fn job() -> Job {
 }
 
 fn pixel(x: u32, y: u32) -> [f32; 3] {
-    let hash = Random(u64::from(x) << 32 | u64::from(y)).next();
+    let hash = Random(u64::from(x) << 32 | u64::from(y)).bits();
     [hash as u8 as f32, (hash >> 8) as u16 as f32, (hash >> 24) as u16 as f32 / 7.0]
 }
 

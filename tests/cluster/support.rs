@@ -4,9 +4,9 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use outcrop::cluster::{CoordinatorOptions, Job, RemoteOptions, RoleOptions, WorkerOptions, model_key};
-use outcrop::compile::{CompileOptions, Compiler, Control, Threads};
+use outcrop::compile::{CompileOptions, Control, Threads};
 use outcrop::octree::OctreeOptions;
-use outcrop::procedural::{Gears, Shape, Tessellation};
+use outcrop::procedural::{Gears, Tessellation};
 use outcrop::render::{RenderSettings, Renderer};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
@@ -14,20 +14,14 @@ use outcrop::source::MemorySource;
 use outcrop::units::Bytes;
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 
+use super::compiled::compiled;
+
 /// A compiled file of gears with mirrors and glass in small blocks.
 pub fn model_bytes() -> &'static Arc<[u8]> {
     static BYTES: OnceLock<Arc<[u8]>> = OnceLock::new();
     BYTES.get_or_init(|| {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("gears.outcrop");
         let options = CompileOptions { block_bytes: 8192, ..CompileOptions::default() };
-        let mut go_on = |_| Control::Continue;
-        let mut compiler =
-            Compiler::new(&path, options, &MemoryBudget::new(Bytes::mib(64)), &mut go_on).unwrap();
-        let gears = Gears::with_tessellation(1, Tessellation::new(16).unwrap()).unwrap();
-        gears.emit(&mut compiler).unwrap();
-        compiler.finish().unwrap();
-        std::fs::read(path).unwrap().into()
+        compiled(&Gears::with_tessellation(1, Tessellation::new(16).unwrap()).unwrap(), &options).into()
     })
 }
 
@@ -37,7 +31,7 @@ pub fn model() -> MemorySource {
 
 /// The standard view of the gears.
 pub fn scene() -> Scene {
-    let camera = Camera::pinhole([-1.1, -2.1, 2.6], [0.0; 3], [0.0, 0.0, 1.0], 45.0).unwrap();
+    let camera = Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], 45.0).unwrap();
     Scene::new(camera)
         .with_light(Light::point([2.0, 4.0, 4.0], [0.5; 3]))
         .with_light(Light::point([-1.0, -4.0, 2.0], [0.5; 3]))
@@ -84,27 +78,5 @@ pub fn worker_options(name: &str, lanes: u16, file: Option<Arc<dyn BlockSource>>
         remote: RemoteOptions { retry_after: Duration::from_millis(300), ..RemoteOptions::default() },
         roles: quick_roles(),
         patience: Duration::from_secs(60),
-    }
-}
-
-/// SplitMix64.
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    pub fn below(&mut self, count: u64) -> u64 {
-        self.next() % count
-    }
-
-    /// 0 to 1.
-    pub fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 }

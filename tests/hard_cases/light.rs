@@ -8,7 +8,7 @@ use outcrop::compile::{CompileOptions, Threads};
 use outcrop::geom::{Ray, offset_origin};
 use outcrop::model::MaterialRecord;
 use outcrop::octree::OctreeOptions;
-use outcrop::procedural::{CUBOID_FACES, Icosphere};
+use outcrop::procedural::{CUBOID_FACES, Icosphere, cuboid_corners};
 use outcrop::render::{Control, RenderSettings, RenderedImage, Renderer};
 use outcrop::scene::{Camera, Scene};
 use outcrop::source::MemorySource;
@@ -40,10 +40,8 @@ fn compiled(mesh: Mesh, record: MaterialRecord) -> Arc<dyn BlockSource> {
 
 /// A box from -1 to 1 on each axis, scaled and moved; faces seen from outside.
 fn cuboid(half: [f64; 3], center: [f64; 3]) -> Mesh {
-    let corner = |corner: u32| {
-        [0, 1, 2].map(|axis| center[axis] + if corner >> axis & 1 == 0 { -half[axis] } else { half[axis] })
-    };
-    Mesh::new(Vertices::Float64((0..8).map(corner).collect()), CUBOID_FACES.to_vec())
+    let corners = cuboid_corners(minus(center, half), along(center, 1.0, half));
+    Mesh::new(Vertices::Float64(corners.to_vec()), CUBOID_FACES.to_vec())
 }
 
 fn render(source: &Arc<dyn BlockSource>, scene: &Scene, settings: &RenderSettings) -> RenderedImage {

@@ -4,8 +4,6 @@
 
 #[path = "../support/compiling.rs"]
 mod compiling;
-#[path = "../support/numbers.rs"]
-mod numbers;
 #[path = "../geom/oracle.rs"]
 mod oracle;
 #[path = "../geom/samples.rs"]
@@ -13,6 +11,7 @@ mod oracle;
 mod samples;
 #[path = "../support/mod.rs"]
 mod support;
+use support::numbers;
 
 mod cases;
 mod everywhere;

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use outcrop::compile::{CompileOptions, Compiler, Control, LazyModel, LazyOptions, compile_file};
-use outcrop::geom::{Aabb, Ray};
+use outcrop::geom::Ray;
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::export::{write_obj, write_ply};
 use outcrop::procedural::{Gears, Terrain, Tessellation};
@@ -16,6 +16,7 @@ use outcrop::units::{Bytes, CellId};
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 
 use super::compiling::{Mesh, Place};
+use super::support::may_meet;
 use super::{SOURCE, all_options, budget, eager, gears, octree, open, rays, small, soup, trace};
 
 #[test]
@@ -106,24 +107,6 @@ fn threads_cut_each_cell_once_and_see_the_same() {
     }
 }
 
-/// Whether the ray meets the box, widened by far more than the rounding of the octree's own test.
-fn may_meet(ray: &Ray, bounds: &Aabb) -> bool {
-    let (mut near, mut far) = (ray.t_min, ray.t_max);
-    for axis in 0..3 {
-        let (low, high) = (bounds.min[axis] - 1e-4, bounds.max[axis] + 1e-4);
-        let (origin, direction) = (ray.origin[axis], ray.direction[axis]);
-        if direction == 0.0 {
-            if origin < low || origin > high {
-                return false;
-            }
-        } else {
-            let (a, b) = ((low - origin) / direction, (high - origin) / direction);
-            (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
-        }
-    }
-    near <= far
-}
-
 #[test]
 fn only_cells_that_a_ray_reaches_are_cut() {
     let mesh = gears();
@@ -136,7 +119,7 @@ fn only_cells_that_a_ray_reaches_are_cut() {
     for ray in rays(&octree, 12, 4) {
         tracer.closest_hit(&ray).unwrap();
         for (reached, cell) in reached.iter_mut().zip(model.model().cells.entries()) {
-            *reached |= may_meet(&ray, &cell.bounds);
+            *reached |= may_meet(&ray, &cell.bounds, 1e-4);
         }
         for (index, reached) in (0..).zip(&reached) {
             assert!(*reached || !model.is_cut(CellId(index)), "cell {index} was cut for nothing");

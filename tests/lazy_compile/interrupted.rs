@@ -10,7 +10,7 @@ use outcrop::units::{Bytes, CellId};
 use outcrop::{LazyOctree, MemoryBudget};
 
 use super::compiling::{Mesh, Place};
-use super::support::Random;
+use super::support::numbers::Random;
 use super::{Answers, budget, eager, gears, octree, open, rays, small, soup, trace};
 
 /// A working file with every cell cut, and its length before and after each.
@@ -63,8 +63,8 @@ fn it_reopens_where_it_stood_wherever_it_was_broken_off() {
         let mut random = Random(11);
         let mut lengths: Vec<usize> =
             ends.iter().flat_map(|end| [*end as usize - 1, *end as usize]).collect();
-        lengths.extend((0..40).map(|_| log + random.below(bytes.len() - log)));
-        lengths.extend(ends.iter().map(|end| (*end as usize + 1 + random.below(100)).min(bytes.len())));
+        lengths.extend((0..40).map(|_| log + random.index(bytes.len() - log)));
+        lengths.extend(ends.iter().map(|end| (*end as usize + 1 + random.index(100)).min(bytes.len())));
         // Before the log begins there is nothing to go on with.
         lengths.extend([0, 1, 255, 256, 257, log / 2, log - 1]);
         let place = Place::new();
@@ -163,12 +163,12 @@ fn flipped_bits_are_found_or_mended() {
         let whole = round % 2 == 0;
         let mut bytes = bytes[..if whole { bytes.len() } else { part }].to_vec();
         let at = match round % 5 {
-            0 => random.below(256),
-            1 => log - 1 - random.below(2000),
-            2 => log + random.below(bytes.len() - log),
-            _ => random.below(bytes.len()),
+            0 => random.index(256),
+            1 => log - 1 - random.index(2000),
+            2 => log + random.index(bytes.len() - log),
+            _ => random.index(bytes.len()),
         };
-        bytes[at] ^= 1 << random.below(8);
+        bytes[at] ^= 1 << random.index(8);
         write_working(&place.output(), &bytes);
         match right_or_refused(&expected, &place, &budget()) {
             2 => right += 1,
@@ -191,18 +191,18 @@ fn bytes_of_any_kind_are_not_believed() {
         match round % 3 {
             // A run of rubbish.
             0 => {
-                let at = random.below(bytes.len() - 100);
-                bytes[at..at + 100].iter_mut().for_each(|byte| *byte = random.below(256) as u8);
+                let at = random.index(bytes.len() - 100);
+                bytes[at..at + 100].iter_mut().for_each(|byte| *byte = random.index(256) as u8);
             }
             // A piece twice.
             1 => {
-                let at = ends[0] as usize + random.below(bytes.len() - ends[0] as usize);
+                let at = ends[0] as usize + random.index(bytes.len() - ends[0] as usize);
                 let piece = bytes[at..].to_vec();
                 bytes.extend_from_slice(&piece);
             }
             // A record of the log once more, whole.
             _ => {
-                let which = random.below(ends.len() - 1);
+                let which = random.index(ends.len() - 1);
                 let piece = bytes[ends[which] as usize..ends[which + 1] as usize].to_vec();
                 bytes.extend_from_slice(&piece);
             }

@@ -24,7 +24,7 @@ use outcrop::source::MemorySource;
 use outcrop::trace::{Hit, Occlusion};
 use outcrop::units::Bytes;
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
-use support::Random;
+use support::numbers::Random;
 
 /// What the meshes of these tests are said to come from.
 const SOURCE: SourceRecord = SourceRecord { file_bytes: 1, modified_ns: 2, fingerprint: 3 };

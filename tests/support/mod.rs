@@ -1,6 +1,8 @@
 //! Small models compiled in memory with a partition of the test's choosing, and brute force over their triangles.
 #![allow(dead_code)]
 
+pub mod numbers;
+
 use std::sync::Arc;
 
 use outcrop::block::{BlockInput, BlockLimits, Codec, EncodeScratch, VertexInput, encode};
@@ -128,28 +130,21 @@ pub fn all_hits(triangles: &[[[f64; 3]; 3]], ray: &Ray) -> Vec<(f64, TriangleId)
     hits
 }
 
-/// A small deterministic generator (SplitMix64).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
+/// Whether the ray meets the box, widened by `slack`: let that be far more than the rounding of the octree's own test.
+pub fn may_meet(ray: &Ray, bounds: &Aabb, slack: f64) -> bool {
+    let (mut near, mut far) = (ray.t_min, ray.t_max);
+    for axis in 0..3 {
+        let (low, high) = (bounds.min[axis] - slack, bounds.max[axis] + slack);
+        let (origin, direction) = (ray.origin[axis], ray.direction[axis]);
+        if direction == 0.0 {
+            if origin < low || origin > high {
+                return false;
+            }
+        } else {
+            let (a, b) = ((low - origin) / direction, (high - origin) / direction);
+            near = near.max(a.min(b));
+            far = far.min(a.max(b));
+        }
     }
-
-    pub fn below(&mut self, n: usize) -> usize {
-        (self.next() % n as u64) as usize
-    }
-
-    /// In -1 .. 1.
-    pub fn signed(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-
-    pub fn vector(&mut self) -> [f64; 3] {
-        [self.signed(), self.signed(), self.signed()]
-    }
+    near <= far
 }

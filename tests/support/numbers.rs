@@ -1,16 +1,20 @@
-//! Seeded random numbers and a few operations on points, shared by tests and `benches/peers`.
+//! Seeded random numbers and a few operations on points, shared by tests and benchmarks.
 #![allow(dead_code)]
 
 /// SplitMix64: a test names its seed, so that a failure can be repeated.
 pub struct Random(pub u64);
 
+/// SplitMix64's finaliser.
+pub fn mix(mut z: u64) -> u64 {
+    z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ z >> 31
+}
+
 impl Random {
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
+        mix(self.0)
     }
 
     pub fn below(&mut self, count: u64) -> u64 {
@@ -25,6 +29,11 @@ impl Random {
         from[self.index(from.len())]
     }
 
+    /// Between 0 and 1.
+    pub fn unit(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
     /// Between -1 and 1.
     pub fn signed(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
@@ -32,6 +41,12 @@ impl Random {
 
     pub fn vector(&mut self, size: f64) -> [f64; 3] {
         [(); 3].map(|()| size * self.signed())
+    }
+
+    /// Turns one bit over.
+    pub fn flip(&mut self, bytes: &mut [u8]) {
+        let bit = self.index(8 * bytes.len());
+        bytes[bit / 8] ^= 1 << (bit % 8);
     }
 
     pub fn integers(&mut self, most: i64) -> [f64; 3] {
@@ -60,11 +75,15 @@ pub fn along(a: [f64; 3], t: f64, d: [f64; 3]) -> [f64; 3] {
     [a[0] + t * d[0], a[1] + t * d[1], a[2] + t * d[2]]
 }
 
+pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
 pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 pub fn unit(a: [f64; 3]) -> [f64; 3] {
-    let length = (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]).sqrt();
+    let length = dot(a, a).sqrt();
     a.map(|x| x / length)
 }

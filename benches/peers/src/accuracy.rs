@@ -5,7 +5,7 @@ use std::path::Path;
 use outcrop::compile::PrecisionChoice;
 use outcrop::import::VertexBatch;
 use outcrop::octree::Tier;
-use outcrop::procedural::{CUBOID_FACES, Shape, Terrain};
+use outcrop::procedural::{CUBOID_FACES, Shape, Terrain, cuboid_corners};
 use outcrop::units::Bytes;
 
 use crate::clock::{measure, median};
@@ -112,10 +112,8 @@ fn boxes() -> Mesh {
         for y in 0..BOXES {
             let first = mesh.vertices.len() as u32;
             let top = 1.0 + ((x * 7 + y * 13) % 16) as f32;
-            for corner in 0..8u32 {
-                let [i, j, k] = [0, 1, 2].map(|axis| corner >> axis & 1);
-                mesh.vertices.push([(x + i) as f32, (y + j) as f32, top * k as f32]);
-            }
+            let [low, high] = [[x, y], [x + 1, y + 1]].map(|corner| corner.map(|place| place as f32));
+            mesh.vertices.extend(cuboid_corners([low[0], low[1], 0.0], [high[0], high[1], top]));
             mesh.triangles.extend(CUBOID_FACES.map(|face| face.map(|corner| first + corner)));
         }
     }

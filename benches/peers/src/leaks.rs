@@ -15,7 +15,8 @@ use crate::engine::Engine;
 use crate::mesh::Mesh;
 use crate::obvhs_engine::Obvhs;
 use crate::outcrop_engine::{Outcrop, open};
-use crate::rays::{Random, Rays, trace_closest};
+use crate::numbers::Random;
+use crate::rays::{Rays, trace_closest};
 
 /// The sphere keeps some detail in f32 at the farthest translation, where neighbouring floats are 1 apart.
 const RADIUS: f64 = 100.0;
@@ -114,12 +115,13 @@ fn rays(
     round: impl Fn(f64) -> f64,
 ) -> [Rays; 2] {
     let mut random = Random(7);
+    let below = |random: &mut Random, count: usize| (random.unit() * count as f64) as usize;
     let mut at_targets = |edges: bool| {
         let mut rays = Rays::default();
         for _ in 0..count {
             let origin = center.map(|x| round(x + 0.3 * RADIUS * (2.0 * random.unit() - 1.0)));
-            let triangle = triangles[random.below(triangles.len())];
-            let corner = random.below(3);
+            let triangle = triangles[below(&mut random, triangles.len())];
+            let corner = below(&mut random, 3);
             let [a, b] = [corner, (corner + 1) % 3].map(|corner| vertices[triangle[corner] as usize]);
             let along = if edges { random.unit() } else { 0.0 };
             let direction = [0, 1, 2].map(|axis| round(a[axis] + along * (b[axis] - a[axis]) - origin[axis]));

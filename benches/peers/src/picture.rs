@@ -2,11 +2,14 @@
 
 use std::path::Path;
 
+use outcrop::procedural::Gears;
+
 use crate::engine::Engine;
-use crate::rays::{LIGHTS, RAYS_PER_CALL, Rays, dot, lift_surface, primary};
+use crate::numbers::dot;
+use crate::rays::{RAYS_PER_CALL, Rays, lift_surface, primary};
 
 /// Diffuse reflectance of everything, outcrop's default material; the lights share unit irradiance.
-const REFLECTANCE: f64 = 0.7 / LIGHTS.len() as f64;
+const REFLECTANCE: f64 = 0.7 / Gears::LAMPS.len() as f64;
 
 /// Linear brightness, row by row from the top.
 pub fn trace(engine: &mut dyn Engine, size: usize) -> Vec<f32> {
@@ -21,7 +24,7 @@ pub fn trace(engine: &mut dyn Engine, size: usize) -> Vec<f32> {
         let mut shares = Vec::new();
         for ((ray, pixel), surface) in rays.double[call.clone()].iter().zip(&pixels[call]).zip(surfaces) {
             let Some(lifted) = surface.and_then(|surface| lift_surface(ray, surface)) else { continue };
-            for light in LIGHTS {
+            for light in Gears::LAMPS {
                 let toward = [0, 1, 2].map(|axis| light[axis] - lifted.origin[axis]);
                 let cosine = dot(toward, lifted.normal) / dot(toward, toward).sqrt();
                 if cosine > 0.0 {

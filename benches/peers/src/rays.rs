@@ -1,18 +1,17 @@
 //! The rays that all tracers get: numbers that are exact in f32, so that nobody rounds them differently.
 
 use outcrop::geom::Ray;
+use outcrop::procedural::Gears;
 
 use crate::engine::{Engine, Found, Surface};
 use crate::mesh::Mesh;
+use crate::numbers::{Random, along, cross, dot, minus, unit};
 
 /// Edge length of the tiles in which an image is traced. Rays of a tile are neighbours in memory.
 const TILE: usize = 32;
 pub const RAYS_PER_CALL: usize = TILE * TILE;
 
-/// The standard view of the gears family.
-pub const EYE: [f64; 3] = [-1.1, -2.1, 2.6];
-pub const LIGHTS: [[f64; 3]; 5] =
-    [[2.0, 4.0, 4.0], [-2.0, 4.0, 3.0], [2.0, -2.5, 2.5], [-1.0, -4.0, 2.0], [-1.111, -2.121, 2.626]];
+/// Of the standard view of the gears.
 pub const VERTICAL_FIELD_DEGREES: f64 = 45.0;
 
 /// A ray in f32, the form that the peers take.
@@ -68,31 +67,9 @@ impl Rays {
     }
 }
 
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-/// `a + s * b`
-fn add(a: [f64; 3], s: f64, b: [f64; 3]) -> [f64; 3] {
-    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
-}
-
-pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-pub fn unit(a: [f64; 3]) -> [f64; 3] {
-    let length = dot(a, a).sqrt();
-    a.map(|x| x / length)
-}
-
 /// One ray through each pixel's centre of the standard view, `size` x `size`, tile by tile, with its pixel.
 pub fn primary(size: usize) -> (Rays, Vec<[usize; 2]>) {
-    let forward = unit(sub([0.0; 3], EYE));
+    let forward = unit(minus([0.0; 3], Gears::EYE));
     let right = unit(cross(forward, [0.0, 0.0, 1.0]));
     let up = cross(right, forward);
     let half = (0.5 * VERTICAL_FIELD_DEGREES.to_radians()).tan();
@@ -102,8 +79,8 @@ pub fn primary(size: usize) -> (Rays, Vec<[usize; 2]>) {
             for y in tile_y..size.min(tile_y + TILE) {
                 for x in tile_x..size.min(tile_x + TILE) {
                     let across = |pixel: usize| half * (2.0 * (pixel as f64 + 0.5) / size as f64 - 1.0);
-                    let direction = add(add(forward, across(x), right), -across(y), up);
-                    rays.push(EYE, unit(direction), f64::INFINITY);
+                    let direction = along(along(forward, across(x), right), -across(y), up);
+                    rays.push(Gears::EYE, unit(direction), f64::INFINITY);
                     pixels.push([x, y]);
                 }
             }
@@ -124,7 +101,7 @@ fn lift(mesh: &Mesh, ray: &Ray, found: Found) -> Option<Lifted> {
         return None;
     }
     let [a, b, c] = mesh.corners(found.triangle).map(|corner| corner.map(f64::from));
-    lift_surface(ray, Surface { t: found.t, normal: cross(sub(b, a), sub(c, a)) })
+    lift_surface(ray, Surface { t: found.t, normal: cross(minus(b, a), minus(c, a)) })
 }
 
 /// `None` for a triangle too thin to have a normal.
@@ -134,7 +111,7 @@ pub fn lift_surface(ray: &Ray, surface: Surface) -> Option<Lifted> {
         return None;
     }
     let facing = if dot(normal, ray.direction) > 0.0 { normal.map(|x| -x) } else { normal };
-    Some(Lifted { origin: add(ray.at(surface.t), 1e-4, facing), normal: facing })
+    Some(Lifted { origin: along(ray.at(surface.t), 1e-4, facing), normal: facing })
 }
 
 /// From every hit to each light, unless the surface faces away.
@@ -142,8 +119,8 @@ pub fn shadow(mesh: &Mesh, primary: &Rays, found: &[Found]) -> Rays {
     let mut rays = Rays::default();
     for (ray, found) in primary.double.iter().zip(found) {
         let Some(lifted) = lift(mesh, ray, *found) else { continue };
-        for light in LIGHTS {
-            let direction = sub(light, lifted.origin);
+        for light in Gears::LAMPS {
+            let direction = minus(light, lifted.origin);
             if dot(direction, lifted.normal) > 0.0 {
                 rays.push(lifted.origin, direction, 1.0);
             }
@@ -166,33 +143,11 @@ pub fn bounce(mesh: &Mesh, primary: &Rays, found: &[Found]) -> Rays {
         let bitangent = cross(normal, tangent);
         let radius = radius2.sqrt();
         let mut direction = normal.map(|x| x * (1.0 - radius2).sqrt());
-        direction = add(direction, radius * angle.cos(), tangent);
-        direction = add(direction, radius * angle.sin(), bitangent);
+        direction = along(direction, radius * angle.cos(), tangent);
+        direction = along(direction, radius * angle.sin(), bitangent);
         rays.push(lifted.origin, direction, f64::INFINITY);
     }
     rays
-}
-
-/// SplitMix64 (Steele, Lea, Flood 2014).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut x = self.0;
-        x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        x ^ x >> 31
-    }
-
-    /// In 0 .. 1.
-    pub fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 * 2f64.powi(-53)
-    }
-
-    pub fn below(&mut self, count: usize) -> usize {
-        (self.unit() * count as f64) as usize
-    }
 }
 
 /// All closest hits, call by call.

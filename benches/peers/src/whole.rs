@@ -10,6 +10,7 @@ use outcrop::MemoryBudget;
 use outcrop::compile::{Control, LazyModel, Threads};
 use outcrop::error::Error;
 use outcrop::octree::{LazyOctree, OctreeOptions, Tier, TreeQuality};
+use outcrop::procedural::Gears;
 use outcrop::render::{RenderSettings, Renderer};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::{BlockSource, DiskSource};
@@ -21,7 +22,7 @@ use crate::engine::Engine;
 use crate::mesh::Mesh;
 use crate::outcrop_engine::{Outcrop, compile, open, open_lazily, open_with};
 use crate::picture;
-use crate::rays::{EYE, LIGHTS, VERTICAL_FIELD_DEGREES};
+use crate::rays::VERTICAL_FIELD_DEGREES;
 
 /// Edge length of the picture.
 const SIZE: usize = 512;
@@ -89,8 +90,8 @@ fn lazy_output(compiled: &Path) -> PathBuf {
 
 /// The same picture by the library's own renderer.
 fn render(compiled: &Path, output: &Path) -> Result<(), Error> {
-    let camera = Camera::pinhole(EYE, [0.0; 3], [0.0, 0.0, 1.0], VERTICAL_FIELD_DEGREES)?;
-    let lights = LIGHTS.map(|position| Light::point(position, [1.0 / LIGHTS.len() as f32; 3]));
+    let camera = Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], VERTICAL_FIELD_DEGREES)?;
+    let lights = Gears::LAMPS.map(|position| Light::point(position, [1.0 / Gears::LAMPS.len() as f32; 3]));
     let scene = Scene::new(camera).with_lights(lights);
     let settings = RenderSettings::new(SIZE as u32, SIZE as u32);
     let budget = MemoryBudget::new(MEMORY);

@@ -12,7 +12,7 @@ use crate::model::{BlockEntry, CellEntry, CellRecord};
 
 /// Cuts one cell after the other, in memory of its own.
 pub(super) struct Cutter {
-    worker: Box<dyn CutCell>,
+    worker: AnyWorker,
     bytes: Vec<u8>,
     /// The blocks of the last cell.
     pub bucket: EncodedBucket,
@@ -20,34 +20,17 @@ pub(super) struct Cutter {
     pub record: Vec<u8>,
 }
 
-/// A [`Worker`] for some form of vertices.
-trait CutCell: Send {
-    fn cut(
-        &mut self,
-        bytes: &[u8],
-        counts: (usize, usize),
-        blocks_max: usize,
-        out: &mut EncodedBucket,
-    ) -> Result<bool, CompileError>;
-}
-
-impl<P: Point> CutCell for Worker<P> {
-    fn cut(
-        &mut self,
-        bytes: &[u8],
-        counts: (usize, usize),
-        blocks_max: usize,
-        out: &mut EncodedBucket,
-    ) -> Result<bool, CompileError> {
-        self.make_cell(bytes, counts, blocks_max, out)
-    }
+/// A [`Worker`] for the file's form of vertices.
+enum AnyWorker {
+    Float32(Worker<[f32; 3]>),
+    Lattice(Worker<[i64; 3]>),
 }
 
 impl Cutter {
     pub fn new(settings: BlockSettings) -> Cutter {
-        let worker: Box<dyn CutCell> = match settings.precision {
-            Precision::Float32 => Box::new(Worker::<[f32; 3]>::new(settings)),
-            Precision::Lattice(_) => Box::new(Worker::<[i64; 3]>::new(settings)),
+        let worker = match settings.precision {
+            Precision::Float32 => AnyWorker::Float32(Worker::new(settings)),
+            Precision::Lattice(_) => AnyWorker::Lattice(Worker::new(settings)),
         };
         Cutter { worker, bytes: Vec::new(), bucket: EncodedBucket::default(), record: Vec::new() }
     }
@@ -89,7 +72,11 @@ impl Cutter {
         }
         let counts = (record.triangle_count as usize, record.vertex_count as usize);
         let blocks_max = cell.block_count_max as usize;
-        let is_cell = self.worker.cut(&self.bytes, counts, blocks_max, &mut self.bucket);
+        let (bytes, bucket) = (&self.bytes, &mut self.bucket);
+        let is_cell = match &mut self.worker {
+            AnyWorker::Float32(worker) => worker.make_cell(bytes, counts, blocks_max, bucket),
+            AnyWorker::Lattice(worker) => worker.make_cell(bytes, counts, blocks_max, bucket),
+        };
         // An error here is of bytes that nobody wrote: those that were written came from triangles that can be encoded.
         let is_cell = is_cell.map_err(|error| working.damaged(record.offset, error.to_string()))?;
         let mut bounds = crate::geom::Aabb::EMPTY;

@@ -33,7 +33,6 @@ impl LazyModel {
         let quota = self.working().quota().clone();
         let mut output =
             Output::create(self.output(), quota, header.precision, header.limits, self.budget())?;
-        let (mut degenerate, mut duplicates) = (0, 0);
         let count = self.cells().len();
         for (index, place) in self.cells().iter().enumerate() {
             let cell = CellId(index as u32);
@@ -43,8 +42,6 @@ impl LazyModel {
             if !place.get().is_some_and(|done| self.read_back(done, cutter)) {
                 self.cut_with(cutter, cell)?;
             }
-            degenerate += cutter.bucket.degenerate;
-            duplicates += cutter.bucket.duplicates;
             output.write_bucket(&cutter.bucket)?;
             drop(borrowed);
             let fraction = Some((index + 1) as f64 / count as f64);
@@ -53,11 +50,10 @@ impl LazyModel {
                 Control::Cancel => return Err(CompileError::Cancelled),
             }
         }
-        let (triangles, blocks, vertices) = (output.triangles(), output.block_count(), output.vertices());
         let spill_bytes = header.log_offset();
         let model = self.model();
-        progress(Progress { phase: Phase::Seal, fraction: None, triangles });
-        let file_bytes = output.seal(&model.materials, model.source)?;
+        progress(Progress { phase: Phase::Seal, fraction: None, triangles: output.triangles() });
+        let written = output.seal(&model.materials, model.source)?;
         self.working().remove();
         let mut spent = Meter::default();
         spent.add_since(start);
@@ -71,14 +67,13 @@ impl LazyModel {
         };
         seconds.total = Seconds { wall: seconds.total.wall + spent.wall, cpu: seconds.total.cpu + spent.cpu };
         Ok(CompileReport {
-            triangles,
-            // `Output` holds at most 2^32 - 1.
-            blocks: blocks as u32,
-            vertices,
-            file_bytes,
-            bytes_per_triangle: file_bytes as f64 / triangles as f64,
-            degenerate,
-            duplicates,
+            triangles: written.triangles,
+            blocks: written.blocks,
+            vertices: written.vertices,
+            file_bytes: written.file_bytes,
+            bytes_per_triangle: written.bytes_per_triangle(),
+            degenerate: written.degenerate,
+            duplicates: written.duplicates,
             skipped: header.skipped,
             precision: header.precision,
             error_bound: match header.precision {

@@ -2,6 +2,7 @@
 //! and never an allocation that the file chose (I5).
 
 use super::{obj, ply, stl};
+use crate::procedural::random::Random;
 
 fn ply_bytes(format: &str) -> Vec<u8> {
     let mut data = format!(
@@ -91,14 +92,8 @@ fn truncated_binary_files_never_pass_for_whole() {
 
 #[test]
 fn random_changes() {
-    // Xorshift: the same changes on every run.
-    let mut state = 0x9E37_79B9_7F4A_7C15_u64;
-    let mut random = move |below: usize| {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state % below as u64) as usize
-    };
+    let mut generator = Random::new(1);
+    let mut random = |below: usize| generator.below(below);
     for (bytes, read) in samples() {
         for _ in 0..1500 {
             let mut changed = bytes.clone();

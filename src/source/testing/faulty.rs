@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use crate::error::{LoadError, SourceError};
 use crate::model::{BlockEntry, Model};
+use crate::procedural::random::Random;
 use crate::source::BlockSource;
 use crate::units::{BlockId, Bytes, CellId};
 
@@ -44,28 +45,6 @@ impl<S: BlockSource> FaultySource<S> {
     }
 }
 
-/// The splitmix64 generator: Steele, Lea, Flood, "Fast Splittable Pseudorandom Number Generators", OOPSLA 2014.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn strikes(&mut self, rate: f64) -> bool {
-        // 53 random bits make an even number in 0 .. 1.
-        ((self.next() >> 11) as f64) < rate * (1u64 << 53) as f64
-    }
-
-    fn below(&mut self, count: usize) -> usize {
-        (self.next() % count.max(1) as u64) as usize
-    }
-}
-
 impl<S: BlockSource> BlockSource for FaultySource<S> {
     fn model(&self) -> &Arc<Model> {
         self.source.model()
@@ -82,22 +61,22 @@ impl<S: BlockSource> BlockSource for FaultySource<S> {
     fn read_block(&self, block: BlockId, into: &mut Vec<u8>) -> Result<(), SourceError> {
         self.source.read_block(block, into)?;
         let nth = self.reads.get(block.0 as usize).map_or(0, |reads| reads.fetch_add(1, Ordering::Relaxed));
-        let mut random = Random(self.seed ^ (u64::from(block.0) << 32 | u64::from(nth)));
+        let mut random = Random::new(self.seed ^ (u64::from(block.0) << 32 | u64::from(nth)));
         let struck = |holds: bool| {
             self.faults.fetch_add(u64::from(holds), Ordering::Relaxed);
             holds
         };
-        if struck(random.strikes(self.rates.io_errors)) {
+        if struck(random.unit() < self.rates.io_errors) {
             return Err(SourceError::Io {
                 what: format!("block {}", block.0),
                 name: "a source that was asked to fail".to_owned(),
                 error: io::Error::other("an injected error"),
             });
         }
-        if struck(random.strikes(self.rates.short_reads)) {
-            into.truncate(random.below(into.len()));
+        if struck(random.unit() < self.rates.short_reads) {
+            into.truncate(random.below(into.len().max(1)));
         }
-        if struck(random.strikes(self.rates.bit_flips)) && !into.is_empty() {
+        if struck(random.unit() < self.rates.bit_flips) && !into.is_empty() {
             let at = random.below(into.len());
             into[at] ^= 1 << random.below(8);
         }
