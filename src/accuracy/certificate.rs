@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Estimate, Goal, Knobs, Metric};
+use super::{Estimate, Goal, Knobs, Metric, SamplingCheck};
 use crate::geom::{Aabb, Precision};
 use crate::model::Model;
 use crate::octree::Tier;
@@ -24,9 +24,9 @@ pub struct Certificate {
     /// Estimated: the error of finitely many samples, in every metric. That in [`Metric::Flip`] holds what was cut off as well. None if a
     /// pixel has a single sample, which says nothing about itself, or the picture is not whole.
     pub estimates: Option<[Estimate; 3]>,
-    /// What the estimates hold for pixels that stop where their samples happen to agree: half differences and deviations are taken this many
-    /// times. From samples that had no say in stopping; 1 where sampling is not adaptive.
-    pub stopping_bias: f64,
+    /// What some pixels that were sampled again show of the picture's error, where samples had a say in how many there are. None where
+    /// sampling is not adaptive, and where there are no estimates.
+    pub check: Option<SamplingCheck>,
     /// Confidence of each upper estimate.
     pub confidence: f64,
     /// Samples per pixel, on average.
@@ -113,6 +113,8 @@ pub struct GoalSeconds {
     pub choosing: f64,
     /// Rendering, all pictures together.
     pub rendering: f64,
+    /// Sampling some pixels again and estimating errors, of all pictures.
+    pub checking: f64,
     /// Everything.
     pub total: f64,
 }
@@ -214,13 +216,20 @@ impl fmt::Display for Certificate {
             }
             None => writeln!(f, "no estimate of the error of sampling")?,
         }
+        if let Some(SamplingCheck { pixels, samples, bias }) = self.check {
+            writeln!(
+                f,
+                "checked: {pixels} pixels with {samples} further samples, which show {bias:.2} times the error that the picture's own do"
+            )?;
+        }
         write!(
             f,
-            "{:.1} samples per pixel, {} rays, {:.2} s to choose, {:.2} s to render",
+            "{:.1} samples per pixel, {} rays, {:.2} s to choose, {:.2} s to render, {:.2} s to check",
             self.samples_mean,
             self.counters.effects.rays(),
             self.seconds.choosing,
-            self.seconds.rendering
+            self.seconds.rendering,
+            self.seconds.checking
         )
     }
 }

@@ -2,13 +2,16 @@
 //!
 //! The two halves of a pixel's samples are two pictures of the same thing; half of their difference, `E`, has the distribution of
 //! the picture's own error (a little wider, as the halves of a stratified set complement each other). That is so whether or not a
-//! pixel's samples happened to see both sides of an edge: the estimate is over all pixels, not for each. So the distance between the
-//! picture and picture plus `E` estimates the distance between picture and truth, in any metric, and its spread over
-//! the pixels gives the confidence.
+//! pixel's samples happened to see both sides of an edge: the estimate is over all pixels, not for each. Where samples had a say in
+//! stopping, it is so no longer, and [`check`](super::check) says how large errors are.
+//!
+//! An upper estimate holds the error of *this* picture, which has luck of its own beside that of the estimate. So the variance that it
+//! allows for is that of their difference.
 
 use super::Metric;
-use super::metric::{flip_map, mean};
-use crate::render::normal_quantile;
+use super::flip::{Seen, error_map_bound};
+use super::metric::mean;
+use crate::render::{mix, normal_quantile, student_widening};
 
 /// An estimated error.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,36 +33,107 @@ pub(super) struct Sampled {
     pub lost: f64,
 }
 
+impl Sampled {
+    /// Square of the half difference, over the channels.
+    pub fn square(&self) -> f64 {
+        mean_square(&self.half_difference)
+    }
+}
+
+/// Mean of the squares of three channels.
+pub(super) fn mean_square(channels: &[f32; 3]) -> f64 {
+    channels.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / 3.0
+}
+
+/// The square of the error of finitely many samples, mean over all channels of all pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct MeanSquare {
+    /// The best guess.
+    pub value: f64,
+    /// Above it with the confidence asked for.
+    pub upper: f64,
+}
+
+impl MeanSquare {
+    /// From the half differences of all pixels, where samples had no say in stopping.
+    ///
+    /// Let `x` and `y` be the errors of both halves of a pixel: its square error is `((x + y) / 2)^2`, its squared half difference
+    /// `((x - y) / 2)^2`, and they differ by `x y`. Its variance, `E[x^2]^2`, is at most twice the mean fourth power of half
+    /// differences, whatever the distribution.
+    pub fn of_halves(pixels: &[Sampled], confidence: f64) -> MeanSquare {
+        MeanSquare::of_sums(pixels.iter().map(Sampled::square), 2.0, pixels.len() as u64, confidence)
+    }
+
+    /// From square errors of pixels that were drawn, each over its chance.
+    ///
+    /// The variance of the difference between their sum and the sum of all square errors is at most the sum of their squares if both
+    /// means of a pixel are equally distributed.
+    pub fn of_draws(squares: &[f64], pixels_total: u64, confidence: f64) -> MeanSquare {
+        MeanSquare::of_sums(squares.iter().copied(), 1.0, pixels_total, confidence)
+    }
+
+    fn of_sums(
+        terms: impl Iterator<Item = f64>,
+        variance: f64,
+        pixels_total: u64,
+        confidence: f64,
+    ) -> MeanSquare {
+        let (mut sum, mut squares, mut cubes) = (0.0, 0.0, 0.0);
+        for term in terms {
+            sum += term;
+            squares += term * term;
+            cubes += term * term * term;
+        }
+        let count = pixels_total.max(1) as f64;
+        let upper = sum + margin(variance * squares, cubes, normal_quantile(confidence));
+        MeanSquare { value: sum / count, upper: upper / count }
+    }
+
+    /// From square errors of pixels that were probed, and the chances that they would have in a check: what is to be expected of the
+    /// check of a picture of `pixels_total` pixels. Its margin, and two deviations of the probe's own error, as a picture that misses is
+    /// made again.
+    pub fn expected(probed: &[(f64, f64)], pixels_total: u64, confidence: f64) -> MeanSquare {
+        let count = probed.len().max(1) as f64;
+        let (mut sum, mut squares, mut drawn, mut cubes) = (0.0, 0.0, 0.0, 0.0);
+        for (square, chance) in probed {
+            sum += square;
+            squares += square * square;
+            drawn += square * square / chance;
+            cubes += square * square * square / (chance * chance);
+        }
+        let value = sum / count;
+        let own = ((squares / count - value * value).max(0.0) / count).sqrt();
+        let total = pixels_total.max(1) as f64;
+        let scale = total / count;
+        let margin = margin(scale * drawn, scale * cubes, normal_quantile(confidence)) / total;
+        MeanSquare { value, upper: value + 2.0 * own + margin }
+    }
+}
+
+/// How far a sum of positive terms may lie below what it estimates, from the sum of their squares (its variance) and of their
+/// cubes. The second part is for skewness (Johnson 1978): few large terms make a sum that is mostly too low. It is about the
+/// largest term once more: one like it may have been missed.
+fn margin(squares: f64, cubes: f64, quantile: f64) -> f64 {
+    if squares <= 0.0 {
+        return 0.0;
+    }
+    quantile * squares.sqrt() + (2.0 * quantile * quantile + 1.0) / 6.0 * cubes / squares
+}
+
 /// Side of the blocks of pixels whose means are taken as independent: well above the reach of FLIP's filters.
 const BLOCK_SIDE: usize = 16;
 
-/// Estimates an error over `pixels`, rows of `width`, which stand for a picture of `pixels_total` pixels.
+/// Estimates an error from `pixels`, rows of `width`, which stand for a picture of `pixels_total` pixels.
 pub(super) fn estimate(
     metric: Metric,
-    pixels: &mut dyn ExactSizeIterator<Item = Sampled>,
+    pixels: &[Sampled],
     width: u32,
+    squares: MeanSquare,
     pixels_total: u64,
     confidence: f64,
 ) -> Estimate {
-    let count = pixels.len().max(1) as f64;
-    let one_sided = normal_quantile(confidence);
     match metric {
-        Metric::Rmse => {
-            let (mut sum, mut squares) = (0.0, 0.0);
-            for pixel in pixels {
-                let half = pixel.half_difference.map(f64::from);
-                let square = half.iter().map(|x| x * x).sum::<f64>() / 3.0;
-                sum += square;
-                squares += square * square;
-            }
-            let mean = sum / count;
-            let variance = (squares / count - mean * mean).max(0.0);
-            Estimate {
-                metric,
-                value: mean.sqrt(),
-                upper: (mean + one_sided * (variance / count).sqrt()).sqrt(),
-            }
-        }
+        Metric::Rmse => Estimate { metric, value: squares.value.sqrt(), upper: squares.upper.sqrt() },
         Metric::Max => {
             let (mut value, mut deviation) = (0.0f64, 0.0f64);
             for pixel in pixels {
@@ -68,24 +142,83 @@ pub(super) fn estimate(
             }
             Estimate { metric, value, upper: max_quantile(pixels_total, confidence) * deviation }
         }
-        Metric::Flip => {
-            let (mut picture, mut other) = (Vec::new(), Vec::new());
-            for pixel in pixels {
-                picture.push(pixel.mean);
-                // What was cut off is missing everywhere.
-                let add =
-                    |channel: usize| pixel.mean[channel] + pixel.half_difference[channel] + pixel.lost as f32;
-                other.push([0, 1, 2].map(add));
-            }
-            let map = flip_map(&other, &picture, width);
-            let value = mean(&map);
-            let blocks = block_means(&map, width as usize);
-            let count = blocks.len().max(2) as f64;
-            let squares: f64 = blocks.iter().map(|block| (block - value) * (block - value)).sum();
-            let error = (squares / (count - 1.0) / count).sqrt();
-            Estimate { metric, value, upper: value + one_sided * error }
-        }
+        Metric::Flip => flip(pixels, width as usize, squares, pixels_total, confidence),
     }
+}
+
+/// The picture beside noisier ones: what FLIP makes of noise as large as the error, in this picture.
+///
+/// That the noise has the error's distribution is not enough. FLIP takes the *difference of the strengths* of features, and noise
+/// on top of noise changes them less than the first noise changed the truth. [`error_map_bound`] takes the strength of the difference,
+/// which is the same in distribution for the error and for the noise, and at least what FLIP takes.
+fn flip(
+    pixels: &[Sampled],
+    width: usize,
+    squares: MeanSquare,
+    pixels_total: u64,
+    confidence: f64,
+) -> Estimate {
+    let quantile = normal_quantile(confidence);
+    let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
+    let picture = Seen::of(&means, width);
+    drop(means);
+    let map = |mean_square: f64, signs: Signs| {
+        error_map_bound(&Seen::of(&noisy(pixels, mean_square, signs), width), &picture)
+    };
+    // Twice, with signs that are independent: maps that differ as that of the error will differ from them.
+    let maps = [Signs::Kept, Signs::Drawn].map(|signs| map(squares.value, signs));
+    let value = 0.5 * (mean(&maps[0]) + mean(&maps[1]));
+    let differences: Vec<f64> = maps[0].iter().zip(&maps[1]).map(|(a, b)| a - b).collect();
+    let blocks = block_sums(&differences, width);
+    let count = pixels.len().max(1) as f64;
+    let spread = blocks.iter().map(|block| block * block).sum::<f64>().sqrt() / count;
+    let margin = if pixels_total as usize > pixels.len() {
+        // A part that stands for all: its own error, one deviation of it, and the margin that there will be.
+        spread * (1.0 + quantile * (count / pixels_total as f64).sqrt())
+    } else {
+        spread * quantile * student_widening(blocks.len())
+    };
+    let widened = mean(&map(squares.upper, Signs::Kept)) / mean(&maps[0]).max(f64::MIN_POSITIVE);
+    Estimate { metric: Metric::Flip, value, upper: (value + margin) * widened.max(1.0) }
+}
+
+/// Which sign noise has.
+#[derive(Clone, Copy, PartialEq)]
+enum Signs {
+    /// That of half differences.
+    Kept,
+    /// Changed by luck in half of the pixels.
+    Drawn,
+}
+
+/// The picture with noise of a mean square, and without what was cut off, which is missing everywhere. The noise is the half differences. What
+/// they lack in square goes to pixels by the square of their deviations: there, the samples may all have been on one side.
+fn noisy(pixels: &[Sampled], mean_square: f64, signs: Signs) -> Vec<[f32; 3]> {
+    let count = pixels.len().max(1) as f64;
+    let halves = pixels.iter().map(Sampled::square).sum::<f64>() / count;
+    let deviations = pixels.iter().map(|pixel| pixel.deviation.powi(2)).sum::<f64>() / count;
+    let scale = if halves > 0.0 { (mean_square / halves).min(1.0) } else { 0.0 };
+    let lacking = (mean_square - halves).max(0.0);
+    (0u64..)
+        .zip(pixels)
+        .map(|(index, pixel)| {
+            let luck = mix(index);
+            let share = if deviations > 0.0 { pixel.deviation.powi(2) / deviations } else { 1.0 };
+            let turn = if signs == Signs::Drawn && luck & 1 == 1 { -1.0 } else { 1.0 };
+            [0, 1, 2].map(|channel| {
+                let half = f64::from(pixel.half_difference[channel]);
+                let size = (scale * half * half + lacking * share).sqrt();
+                let sign = if half != 0.0 {
+                    half.signum()
+                } else if luck & 2 == 2 {
+                    -1.0
+                } else {
+                    1.0
+                };
+                (f64::from(pixel.mean[channel]) + turn * sign * size + pixel.lost) as f32
+            })
+        })
+        .collect()
 }
 
 /// How many deviations hold every channel of every pixel at once with this confidence (Bonferroni).
@@ -103,18 +236,24 @@ pub(super) fn cut_off(metric: Metric, lost: impl ExactSizeIterator<Item = f64>) 
     }
 }
 
-/// Means over squares of [`BLOCK_SIDE`] pixels, those at the border included.
-fn block_means(map: &[f64], width: usize) -> Vec<f64> {
+/// What FLIP makes of all that may have been cut off: not a proof, as its filters do not know where light is missing.
+pub(super) fn flip_cut_off(pixels: &[Sampled], width: u32) -> f64 {
+    let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
+    let [picture, whole] =
+        [means, noisy(pixels, 0.0, Signs::Kept)].map(|pixels| Seen::of(&pixels, width as usize));
+    mean(&error_map_bound(&whole, &picture))
+}
+
+/// Sums over squares of [`BLOCK_SIDE`] pixels, those at the border included.
+fn block_sums(map: &[f64], width: usize) -> Vec<f64> {
     let columns = width.div_ceil(BLOCK_SIDE);
     let rows = (map.len() / width.max(1)).div_ceil(BLOCK_SIDE);
-    let mut sums = vec![(0.0, 0u32); columns * rows];
+    let mut sums = vec![0.0; columns * rows];
     for (index, value) in map.iter().enumerate() {
         let (x, y) = (index % width / BLOCK_SIDE, index / width / BLOCK_SIDE);
-        let (sum, count) = &mut sums[y * columns + x];
-        *sum += value;
-        *count += 1;
+        sums[y * columns + x] += value;
     }
-    sums.into_iter().map(|(sum, count)| sum / f64::from(count)).collect()
+    sums
 }
 
 #[cfg(test)]
@@ -122,23 +261,27 @@ mod tests {
     use super::*;
     use crate::procedural::random::Random;
 
-    /// Pixels with a normal error of deviation `sigma`, seeded: the estimates hold it as often as they say.
-    #[test]
-    fn estimates_hold_noise_that_is_known() {
-        const SIDE: u32 = 64;
-        let sigma = 0.02;
-        // Not a linear congruence: its neighbours would spoil the tails that Box and Muller make of them.
+    const SIDE: u32 = 64;
+    const RUNS: u32 = 40;
+
+    /// Normal noise, seeded.
+    fn noise() -> impl FnMut() -> f64 {
         let mut random = Random::new(1);
-        let mut uniform = || random.unit();
-        let mut normal =
-            || (-2.0 * (1.0 - uniform()).ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
-        let mut held = [0; 3];
-        const RUNS: u32 = 40;
+        let mut uniform = move || random.unit();
+        move || (-2.0 * (1.0 - uniform()).ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
+    }
+
+    /// How often upper estimates at 90 % hold pictures of `truth` whose half means are off by `sigma` times noise, and the median of
+    /// what they are above the error.
+    fn held_of(truth: impl Fn(u32, u32) -> f64, sigma: impl Fn(u32, u32) -> f64) -> ([u32; 3], [f64; 3]) {
+        let mut normal = noise();
+        let (mut held, mut ratios) = ([0; 3], [(); 3].map(|()| Vec::new()));
         for _ in 0..RUNS {
-            let (mut truth, mut sampled) = (Vec::new(), Vec::new());
-            for _ in 0..SIDE * SIDE {
-                truth.push([0.5f32; 3]);
-                let [a, b] = [(); 2].map(|()| [(); 3].map(|()| 0.5 + sigma * normal()));
+            let (mut truths, mut sampled) = (Vec::new(), Vec::new());
+            for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
+                let (truth, sigma) = (truth(x, y), sigma(x, y));
+                truths.push([truth as f32; 3]);
+                let [a, b] = [(); 2].map(|()| [(); 3].map(|()| truth + sigma * normal()));
                 sampled.push(Sampled {
                     mean: [0, 1, 2].map(|c| (0.5 * (a[c] + b[c])) as f32),
                     half_difference: [0, 1, 2].map(|c| (0.5 * (a[c] - b[c])) as f32),
@@ -147,11 +290,13 @@ mod tests {
                 });
             }
             let found: Vec<[f32; 3]> = sampled.iter().map(|pixel| pixel.mean).collect();
+            let squares = MeanSquare::of_halves(&sampled, 0.9);
             for (index, metric) in Metric::ALL.into_iter().enumerate() {
                 let total = u64::from(SIDE * SIDE);
-                let estimate = estimate(metric, &mut sampled.iter().copied(), SIDE, total, 0.9);
-                let error = metric.distance(&truth, &found, SIDE);
+                let estimate = estimate(metric, &sampled, SIDE, squares, total, 0.9);
+                let error = metric.distance(&truths, &found, SIDE);
                 held[index] += u32::from(error <= estimate.upper);
+                ratios[index].push(estimate.upper / error);
                 // The greatest of many is a matter of luck.
                 let luck = if metric == Metric::Max { 1.6 } else { 1.25 };
                 assert!(
@@ -161,8 +306,58 @@ mod tests {
                 assert!(estimate.upper < 2.0 * error, "{estimate:?}, in fact {error}");
             }
         }
-        // FLIP's does not hold as often as it says, by a few per cent of its value: `docs/accuracy.md`, "Metrics".
-        assert!(held[..2].iter().all(|held| *held >= RUNS * 3 / 4), "{held:?} of {RUNS}");
+        let median = |mut ratios: Vec<f64>| {
+            ratios.sort_by(f64::total_cmp);
+            ratios[ratios.len() / 2]
+        };
+        (held, ratios.map(median))
+    }
+
+    /// Pixels with a normal error that is known: the estimates hold it as often as they say, and are not far above it. Flat, where a
+    /// comparison of two noisy pictures sees less than one with the truth; and with edges, some of which are noisier.
+    #[test]
+    fn estimates_hold_noise_that_is_known() {
+        // Nine of ten, less two deviations of luck.
+        let enough = RUNS * 9 / 10 - 4;
+        for (name, (held, above)) in [
+            ("flat", held_of(|_, _| 0.5, |_, _| 0.02)),
+            (
+                "edges",
+                held_of(
+                    |x, y| if (3 * x + 2 * y) % 60 < 30 { 0.75 } else { 0.2 },
+                    |x, y| if (3 * x + 2 * y) % 30 < 4 && y < 40 { 0.06 } else { 0.003 },
+                ),
+            ),
+        ] {
+            assert!(held.iter().all(|held| *held >= enough), "{name}: {held:?} of {RUNS}");
+            assert!(above[0] < 1.1 && above[2] < 1.25, "{name}: {above:?}");
+        }
+    }
+
+    #[test]
+    fn noise_has_the_mean_square_asked_for() {
+        let mut normal = noise();
+        let pixels: Vec<Sampled> = (0..SIDE * SIDE)
+            .map(|index| Sampled {
+                mean: [0.5; 3],
+                // Every third pixel has samples that agree.
+                half_difference: [(); 3]
+                    .map(|()| if index % 3 == 0 { 0.0 } else { (0.01 * normal()) as f32 }),
+                deviation: 0.02,
+                lost: 0.0,
+            })
+            .collect();
+        let own = MeanSquare::of_halves(&pixels, 0.9).value;
+        for (factor, signs) in
+            [(0.5, Signs::Kept), (1.0, Signs::Kept), (2.0, Signs::Kept), (2.0, Signs::Drawn)]
+        {
+            let noisy = noisy(&pixels, factor * own, signs);
+            let squares: f64 = noisy.iter().flatten().map(|x| f64::from(x - 0.5).powi(2)).sum();
+            let found = squares / (3 * noisy.len()) as f64;
+            assert!((found / (factor * own) - 1.0).abs() < 1e-4, "{found}, not {factor} of {own}");
+            // What agrees gets its share of what is lacking.
+            assert_eq!(noisy[0] != [0.5; 3], factor > 1.0);
+        }
     }
 
     #[test]
@@ -171,5 +366,14 @@ mod tests {
         assert_eq!(cut_off(Metric::Rmse, lost.into_iter()), Some(0.25));
         assert_eq!(cut_off(Metric::Max, lost.into_iter()), Some(0.4));
         assert_eq!(cut_off(Metric::Flip, lost.into_iter()), None);
+        let pixels = |lost: f64| {
+            let pixel = Sampled { mean: [0.5; 3], half_difference: [0.1, -0.1, 0.0], deviation: 0.1, lost };
+            vec![pixel; 64]
+        };
+        let whole = [[0.51f32; 3]; 64];
+        let error = Metric::Flip.distance(&whole, &[[0.5; 3]; 64], 8);
+        let found = flip_cut_off(&pixels(0.01), 8);
+        assert!((found / error - 1.0).abs() < 1e-4, "{found}, not {error}");
+        assert!(flip_cut_off(&pixels(0.0), 8) < 1e-9);
     }
 }

@@ -19,19 +19,59 @@ type Plane = Vec<f64>;
 /// If the pictures are not equally large or no whole number of rows.
 pub(super) fn error_map(reference: &[[f32; 3]], test: &[[f32; 3]], width: usize) -> Vec<f64> {
     assert_eq!(reference.len(), test.len(), "the pictures differ in size");
-    assert!(width > 0 && reference.len().is_multiple_of(width), "not a whole number of rows");
-    let [reference, test] = [reference, test].map(|pixels| Opponent::of(pixels, width));
-    let colour = colour_errors(&reference.filtered(), &test.filtered());
-    let [reference, test] = [reference, test].map(|picture| picture.features());
+    let [reference, test] = [reference, test].map(|pixels| Seen::of(pixels, width));
+    let colour = colour_errors(&reference.filtered, &test.filtered);
+    let [reference, test] = [reference, test].map(|picture| features(&picture.luminance, width));
     colour
         .into_iter()
         .zip(reference.into_iter().zip(test))
         .map(|(colour, ([edge_a, point_a], [edge_b, point_b]))| {
-            // Section 4.4: features make colour differences count more.
-            let feature = (edge_a - edge_b).abs().max((point_a - point_b).abs()) / std::f64::consts::SQRT_2;
-            libm::pow(colour, 1.0 - feature.sqrt())
+            error(colour, (edge_a - edge_b).abs().max((point_a - point_b).abs()))
         })
         .collect()
+}
+
+/// The least map that holds the error map whatever features the pictures share: with the features *of the difference* in place of the
+/// difference of features, which is never greater, as strengths are lengths of vectors that filters without bias give.
+///
+/// Noise hides features under it, so that two pictures that are equally noisy differ less in their features than either
+/// does from the truth. Their difference has what the noise has.
+pub(super) fn error_map_bound(a: &Seen, b: &Seen) -> Vec<f64> {
+    let difference: Plane = a.luminance.iter().zip(&b.luminance).map(|(a, b)| a - b).collect();
+    let features = features(&difference, a.width);
+    colour_errors(&a.filtered, &b.filtered)
+        .into_iter()
+        .zip(features)
+        .map(|(colour, [edge, point])| error(colour, edge.max(point)))
+        .collect()
+}
+
+/// Section 4.4: features make colour differences count more.
+fn error(colour: f64, feature: f64) -> f64 {
+    libm::pow(colour, 1.0 - (feature / std::f64::consts::SQRT_2).sqrt().min(1.0))
+}
+
+/// A picture as the eye sees it.
+pub(super) struct Seen {
+    /// What the eye resolves, in linear RGB clamped to the display.
+    filtered: Vec<[f64; 3]>,
+    /// Luminance, 0 to 1, in which it looks for edges and points.
+    luminance: Plane,
+    width: usize,
+}
+
+impl Seen {
+    /// Of linear RGB, which is clamped to what a display shows.
+    ///
+    /// # Panics
+    /// If the picture is no whole number of rows.
+    pub fn of(pixels: &[[f32; 3]], width: usize) -> Seen {
+        assert!(width > 0 && pixels.len().is_multiple_of(width), "not a whole number of rows");
+        let picture = Opponent::of(pixels, width);
+        let filtered = picture.filtered();
+        let [luminance, ..] = picture.channels;
+        Seen { filtered, luminance: luminance.into_iter().map(|y| (y + 16.0) / 116.0).collect(), width }
+    }
 }
 
 /// A picture in YCxCz: luminance and two opponent colours.
@@ -80,31 +120,30 @@ impl Opponent {
         };
         (0..planes[0].len()).map(|pixel| back(planes[0][pixel], planes[1][pixel], planes[2][pixel])).collect()
     }
+}
 
-    /// Strength of edges and of points (section 4.2) per pixel.
-    fn features(&self) -> Vec<[f64; 2]> {
-        let luminance: Plane = self.channels[0].iter().map(|y| (y + 16.0) / 116.0).collect();
-        // An edge detector as wide as the eye's, 0.082 degrees.
-        let deviation = 0.5 * 0.082 * PIXELS_PER_DEGREE;
-        let radius = (3.0 * deviation).ceil() as i32;
-        let kernel = |value: &dyn Fn(f64) -> f64| -> Vec<f64> {
-            (-radius..=radius)
-                .map(|x| {
-                    let x = f64::from(x) / deviation;
-                    value(x) * libm::exp(-0.5 * x * x)
-                })
-                .collect()
-        };
-        let smooth = signed_parts_to_one(kernel(&|_| 1.0));
-        let edge = signed_parts_to_one(kernel(&|x| -x));
-        let point = signed_parts_to_one(kernel(&|x| x * x - 1.0));
-        let strength = |kernel: &[f64]| -> Plane {
-            let across = separable(&luminance, self.width, kernel, &smooth);
-            let down = separable(&luminance, self.width, &smooth, kernel);
-            across.into_iter().zip(down).map(|(x, y)| (x * x + y * y).sqrt()).collect()
-        };
-        strength(&edge).into_iter().zip(strength(&point)).map(|(edge, point)| [edge, point]).collect()
-    }
+/// Strength of edges and of points (section 4.2) per pixel.
+fn features(luminance: &[f64], width: usize) -> Vec<[f64; 2]> {
+    // An edge detector as wide as the eye's, 0.082 degrees.
+    let deviation = 0.5 * 0.082 * PIXELS_PER_DEGREE;
+    let radius = (3.0 * deviation).ceil() as i32;
+    let kernel = |value: &dyn Fn(f64) -> f64| -> Vec<f64> {
+        (-radius..=radius)
+            .map(|x| {
+                let x = f64::from(x) / deviation;
+                value(x) * libm::exp(-0.5 * x * x)
+            })
+            .collect()
+    };
+    let smooth = signed_parts_to_one(kernel(&|_| 1.0));
+    let edge = signed_parts_to_one(kernel(&|x| -x));
+    let point = signed_parts_to_one(kernel(&|x| x * x - 1.0));
+    let strength = |kernel: &[f64]| -> Plane {
+        let across = separable(luminance, width, kernel, &smooth);
+        let down = separable(luminance, width, &smooth, kernel);
+        across.into_iter().zip(down).map(|(x, y)| (x * x + y * y).sqrt()).collect()
+    };
+    strength(&edge).into_iter().zip(strength(&point)).map(|(edge, point)| [edge, point]).collect()
 }
 
 /// The kernel, normalised, of one Gaussian `a sqrt(pi / b) exp(-pi^2 d^2 / b)` of the distance in degrees, and its weight: the sum
@@ -138,19 +177,23 @@ fn signed_parts_to_one(kernel: Vec<f64>) -> Vec<f64> {
 fn separable(plane: &[f64], width: usize, across: &[f64], down: &[f64]) -> Plane {
     let height = plane.len() / width;
     let radius = across.len() / 2;
-    // The place that a tap reads, within 0 .. length.
-    let place = |at: usize, tap: usize, length: usize| (at + tap).saturating_sub(radius).min(length - 1);
+    // Tap by tap, so that whole rows are added up at once.
+    let add = |out: &mut [f64], row: &[f64], weight: f64| {
+        out.iter_mut().zip(row).for_each(|(out, value)| *out += weight * value);
+    };
     let mut rows = vec![0.0; plane.len()];
+    let mut padded = vec![0.0; width + 2 * radius];
     for (row, out) in plane.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        for (x, out) in out.iter_mut().enumerate() {
-            *out = across.iter().enumerate().map(|(tap, weight)| weight * row[place(x, tap, width)]).sum();
-        }
+        padded[..radius].fill(row[0]);
+        padded[radius..radius + width].copy_from_slice(row);
+        padded[radius + width..].fill(row[width - 1]);
+        across.iter().enumerate().for_each(|(tap, weight)| add(out, &padded[tap..], *weight));
     }
     let mut columns = vec![0.0; plane.len()];
     for (y, out) in columns.chunks_exact_mut(width).enumerate() {
         for (tap, weight) in down.iter().enumerate() {
-            let row = &rows[place(y, tap, height) * width..][..width];
-            out.iter_mut().zip(row).for_each(|(out, value)| *out += weight * value);
+            let from = (y + tap).saturating_sub(radius).min(height - 1);
+            add(out, &rows[from * width..][..width], *weight);
         }
     }
     columns
@@ -271,6 +314,15 @@ mod tests {
         assert!(error_map(&a, &a, WIDTH).iter().all(|error| *error == 0.0));
         assert!(
             error_map(&a, &b, WIDTH).iter().zip(error_map(&b, &a, WIDTH)).all(|(x, y)| (x - y).abs() < 1e-12)
+        );
+        // A bound, a tight one where one of both has no features.
+        let [seen_a, seen_b] = [&a, &b].map(|pixels| Seen::of(pixels, WIDTH));
+        let bound = error_map_bound(&seen_a, &seen_b);
+        assert!(error_map(&a, &b, WIDTH).iter().zip(&bound).all(|(error, bound)| *error <= bound + 1e-12));
+        let flat = picture(|_, _| [0.3; 3]);
+        let bound = error_map_bound(&Seen::of(&flat, WIDTH), &seen_b);
+        assert!(
+            error_map(&flat, &b, WIDTH).iter().zip(bound).all(|(error, bound)| (error - bound).abs() < 1e-9)
         );
         // What is beyond the display does not show.
         let bright = |factor: f32| a.iter().map(|pixel| pixel.map(|x| 1.0 + factor * x)).collect::<Vec<_>>();

@@ -8,6 +8,7 @@
 //! [`Metric`] is how errors are measured, and [`sweep`] measures what each knob costs.
 
 mod certificate;
+mod check;
 mod estimate;
 mod flip;
 mod goal;
@@ -19,6 +20,7 @@ pub mod sweep;
 mod time;
 
 pub use certificate::{Certificate, CutOffBounds, GeometryBounds, GoalCounters, GoalSeconds, Verdict};
+pub use check::SamplingCheck;
 pub use estimate::Estimate;
 pub use goal::{Goal, GoalOptions, GoalProgress};
 pub use knobs::{Knobs, Sampling, TileThreshold, render_with_knobs};

@@ -2,8 +2,8 @@
 //!
 //! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
 
-use super::Metric;
-use super::estimate::{Estimate, Sampled, cut_off, estimate};
+use super::estimate::{Estimate, MeanSquare, Sampled, cut_off, estimate, flip_cut_off, mean_square};
+use super::{Metric, check};
 use crate::render::probe::{Level, ProbedCell, ProbedPixel};
 
 /// What a probe says.
@@ -23,37 +23,38 @@ impl Prediction<'_> {
         &pixel.levels[pixel.stop(deviation, self.samples_max)]
     }
 
-    /// How many times larger the error is than half differences say, because pixels stop where these happen to be small.
-    ///
-    /// Between the samples at which a pixel stops and as many again, which had no say in it, the expected square difference is the sum of
-    /// both square errors, so half of it is a fair estimate of one. The root of its mean over that of the half differences, at least 1. The
-    /// probe must have been refined to `deviation`; pixels without a further level count as they are.
-    pub fn stopping_bias(&self, deviation: f64) -> f64 {
-        let square = |level: &Level| level.half_difference.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
-        let (mut stopped, mut fair) = (0.0, 0.0);
-        for pixel in self.rows() {
-            let stop = pixel.stop(deviation, self.samples_max);
-            let own = square(&pixel.levels[stop]);
-            stopped += own;
-            // The half difference of twice the samples is half of the difference in question.
-            fair += pixel.levels.get(stop + 1).map_or(own, |next| 2.0 * square(next));
-        }
-        if stopped > 0.0 { (fair / stopped).sqrt().max(1.0) } else { 1.0 }
+    /// The estimate to be expected at a threshold not below that to which the probe was refined.
+    pub fn estimate(&self, metric: Metric, deviation: f64) -> Estimate {
+        let pixels = self.sampled(deviation);
+        let samples = || self.rows().map(|pixel| self.stop(pixel, deviation).samples);
+        let known = || samples().zip(pixels.iter().map(|pixel| pixel.deviation));
+        let plan = check::Plan::new(known(), self.pixels_total);
+        let chances = known().map(|(samples, deviation)| plan.chance(samples, deviation));
+        let squares = self.rows().zip(&pixels).map(|(pixel, sampled)| {
+            let next = pixel.levels.get(pixel.stop(deviation, self.samples_max) + 1);
+            // The half difference of twice the samples is half of the difference that a check would see.
+            next.map_or(sampled.square(), |next| {
+                check::own_part(sampled) * 4.0 * mean_square(&next.half_difference)
+            })
+        });
+        let probed: Vec<(f64, f64)> = squares.zip(chances).collect();
+        let squares = MeanSquare::expected(&probed, self.pixels_total, self.confidence);
+        estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
     }
 
-    /// The estimated error at a threshold not below that to which the probe was refined.
-    pub fn estimate(&self, metric: Metric, deviation: f64) -> Estimate {
-        let bias = self.stopping_bias(deviation);
-        let pixels: Vec<Sampled> = self
-            .rows()
+    /// What FLIP makes of what is cut off at a threshold.
+    pub fn flip_cut_off(&self, deviation: f64) -> f64 {
+        flip_cut_off(&self.sampled(deviation), self.width() as u32)
+    }
+
+    /// All pixels as they are at a threshold.
+    fn sampled(&self, deviation: f64) -> Vec<Sampled> {
+        self.rows()
             .map(|pixel| {
                 let Level { mean, half_difference, deviation, lost, .. } = *self.stop(pixel, deviation);
-                let half_difference = half_difference.map(|x| x * bias as f32);
-                Sampled { mean, half_difference, deviation: bias * deviation, lost }
+                Sampled { mean, half_difference, deviation, lost }
             })
-            .collect();
-        let width = self.width();
-        estimate(metric, &mut pixels.into_iter(), width as u32, self.pixels_total, self.confidence)
+            .collect()
     }
 
     /// What is cut off at a threshold; for FLIP nothing, as its estimate holds it.

@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalCounters, GoalSeconds, Verdict};
-use super::estimate::{Estimate, Sampled, cut_off, estimate, max_quantile};
+use super::check::{self, SamplingCheck};
+use super::estimate::{MeanSquare, Sampled, cut_off, estimate, max_quantile};
 use super::predict::Prediction;
 use super::time::{self, Steering};
 use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs};
@@ -16,7 +17,7 @@ use crate::octree::Tier;
 use crate::render::probe::Probe;
 use crate::render::{
     AdaptiveSampling, Film, Outcome, Progress, RenderSettings, RenderedImage, Renderer, normal_quantile,
-    worker_count,
+    resample, worker_count,
 };
 use crate::scene::Scene;
 use crate::trace::Tracer;
@@ -107,12 +108,15 @@ pub fn bytes_needed(
     // While a further picture is made, the best so far is kept.
     let film = Film::bytes_needed(&most.grid(), true);
     let probe = Renderer::probe_bytes(scene, model, &most, PROBE_PIXELS)?;
-    Ok(Bytes(render.0 + film.0 + probe.0 + own_bytes(settings, options).0))
+    // Ray trees of the check are not more than those of the picture.
+    let pixels = settings.width as usize * settings.height as usize;
+    let check = resample::bytes_needed(pixels) as u64;
+    Ok(Bytes(render.0 + film.0 + probe.0 + check + own_bytes(settings, options).0))
 }
 
 /// Tables and, for FLIP, planes of numbers.
 fn own_bytes(settings: &RenderSettings, options: &GoalOptions) -> Bytes {
-    const FLIP_BYTES_PER_PIXEL: u64 = 320;
+    const FLIP_BYTES_PER_PIXEL: u64 = 384;
     let pixels = u64::from(settings.width) * u64::from(settings.height);
     let steering = if matches!(options.goal, Goal::MaxTime(_)) {
         time::bytes_needed(&RenderSettings { tile_size: tile_size_to_steer(settings), ..*settings }).0
@@ -138,7 +142,7 @@ pub(super) fn with_certificate(
     let mut job = Job::new(octree, scene, settings, &options, threads, budget, &mut progress);
     let knobs = job.knobs(Sampling::Fixed { samples: settings.samples_per_pixel });
     let (image, _) = job.picture(&knobs, None)?;
-    let certificate = job.certificate(&image, knobs);
+    let certificate = job.certificate(&image, knobs)?;
     Ok(GoalImage { image, certificate })
 }
 
@@ -152,8 +156,15 @@ struct Job<'a, 'p> {
     progress: &'p mut GoalProgressFn<'p>,
     counters: GoalCounters,
     seconds: GoalSeconds,
-    stopping_bias: f64,
     start: Instant,
+}
+
+/// What is estimated of a picture's mean square error.
+enum Known {
+    Squares(MeanSquare, Option<SamplingCheck>),
+    Nothing,
+    /// The caller did not want to wait.
+    Cancelled,
 }
 
 impl<'a, 'p> Job<'a, 'p> {
@@ -176,7 +187,6 @@ impl<'a, 'p> Job<'a, 'p> {
             progress,
             counters: GoalCounters::default(),
             seconds: GoalSeconds::default(),
-            stopping_bias: 1.0,
             start: Instant::now(),
         }
     }
@@ -189,7 +199,7 @@ impl Job<'_, '_> {
             ..self.knobs(Sampling::Fixed { samples: self.settings.samples_per_pixel })
         };
         let (image, _) = self.picture(&knobs, None)?;
-        let mut certificate = self.certificate(&image, knobs);
+        let mut certificate = self.certificate(&image, knobs)?;
         if certificate.verdict != Verdict::Cancelled {
             let tier = self.octree.tier();
             certificate.verdict = if !matches!(tier, Tier::Certified | Tier::Exact) {
@@ -222,7 +232,7 @@ impl Job<'_, '_> {
         loop {
             let knobs = Knobs { contribution_bound, ..self.knobs(self.adaptive(confidence, error)) };
             let (image, _) = self.picture(&knobs, None)?;
-            let mut certificate = self.certificate(&image, knobs);
+            let mut certificate = self.certificate(&image, knobs)?;
             let reached = certificate.error_bound(metric).unwrap_or(f64::INFINITY);
             let is_cancelled = certificate.verdict == Verdict::Cancelled;
             if is_cancelled && best.is_some() {
@@ -286,14 +296,16 @@ impl Job<'_, '_> {
             let mut probe = self.probe(&renderer)?;
             let first = self.prediction(&probe);
             let cut = match metric {
-                // Not a proof, but a measure of how much it matters.
-                Metric::Flip => first.cut_off(Metric::Rmse, f64::INFINITY),
+                Metric::Flip => first.flip_cut_off(f64::INFINITY),
                 _ => first.cut_off(metric, f64::INFINITY),
             };
             // What work budgets cut does not shrink.
             if cut > CUT_OFF_SHARE * bound && cut < 0.9 * cut_before {
                 self.count(&probe);
-                contribution_bound *= (CUT_OFF_SHARE * bound / cut).clamp(1.0 / 64.0, 0.5);
+                // FLIP grows with differences to the power of 0.7.
+                let power = if metric == Metric::Flip { 1.0 / 0.7 } else { 1.0 };
+                let step = libm::pow(CUT_OFF_SHARE * bound / cut, power);
+                contribution_bound *= step.clamp(1.0 / 64.0, 0.5);
                 cut_before = cut;
                 continue;
             }
@@ -331,7 +343,7 @@ impl Job<'_, '_> {
         let samples_max = self.options.samples_max;
         // From the first samples alone to ever more, until the bound is kept; then back to the highest threshold that keeps it.
         let mut fails = None;
-        let chosen = loop {
+        loop {
             if !probe.refine(high, samples_max, &mut || ask(self.progress))? {
                 return Err(RenderError::Cancelled);
             }
@@ -344,16 +356,14 @@ impl Job<'_, '_> {
                         if keeps(&prediction, middle) { fits = middle } else { fails = middle }
                     }
                 }
-                break fits;
+                return Ok(fits);
             }
             if prediction.is_exhausted(high) {
-                break high;
+                return Ok(high);
             }
             fails = Some(high);
             high *= 0.5;
-        };
-        self.stopping_bias = self.prediction(probe).stopping_bias(chosen);
-        Ok(chosen)
+        }
     }
 
     fn max_time(&mut self, limit: Duration) -> Result<GoalImage, RenderError> {
@@ -373,17 +383,17 @@ impl Job<'_, '_> {
                 return Err(RenderError::Cancelled);
             }
         }
-        self.stopping_bias = self.prediction(&probe).stopping_bias(deviation);
         let rays: u64 = probe.cells.iter().map(|cell| cell.rays).sum();
         let workers = worker_count(self.threads);
         let rate = rays as f64 / begun.elapsed().as_secs_f64().max(1e-9) * workers as f64;
         let quantile = normal_quantile(0.5 + 0.5 * PIXEL_CONFIDENCE);
         let prediction = self.prediction(&probe);
-        // The certificate takes time, too; FLIP takes nearly all of it, and as much per pixel as it does here.
+        // The certificate takes time, too: FLIP, as much per pixel as it does here, and a check, its share of the samples.
         let closing = Instant::now();
         prediction.estimate(Metric::Flip, deviation);
         let share = self.pixels_total() as f64 / prediction.pixels() as f64;
-        let until = limit.saturating_sub(closing.elapsed().mul_f64(share));
+        let left = limit.saturating_sub(closing.elapsed().mul_f64(share) + self.start.elapsed());
+        let until = self.start.elapsed() + left.div_f64(1.0 + check::share(self.pixels_total()));
         let steering = Steering::new(&prediction, &self.settings, quantile, self.start, until, workers, rate);
         self.count(&probe);
         self.seconds.choosing = self.start.elapsed().as_secs_f64();
@@ -398,7 +408,6 @@ impl Job<'_, '_> {
             let first = f64::from(AdaptiveSampling::SAMPLES_MIN);
             let samples = (left * rate / least * first).floor().clamp(1.0, first - 1.0) as u32;
             knobs.sampling = Sampling::Fixed { samples };
-            self.stopping_bias = 1.0;
             self.picture(&knobs, None)?.0
         } else {
             let (image, thresholds) = self.picture(&knobs, Some(steering))?;
@@ -407,7 +416,7 @@ impl Job<'_, '_> {
             }
             image
         };
-        let mut certificate = self.certificate(&image, knobs);
+        let mut certificate = self.certificate(&image, knobs)?;
         if certificate.verdict != Verdict::Cancelled {
             certificate.verdict = if certificate.seconds.total <= 1.1 * limit.as_secs_f64() {
                 Verdict::Met
@@ -518,16 +527,29 @@ impl Job<'_, '_> {
     }
 
     /// Everything but whether the goal is met.
-    fn certificate(&self, image: &RenderedImage, knobs: Knobs) -> Certificate {
+    fn certificate(&mut self, image: &RenderedImage, knobs: Knobs) -> Result<Certificate, RenderError> {
+        let begun = Instant::now();
         let is_whole = image.report.outcome == Outcome::Complete;
         let statistics = image.film.statistics().unwrap_or_default();
         let count = statistics.len().max(1) as f64;
         let lost = || statistics.iter().map(|pixel| f64::from(pixel.lost));
         let is_known = is_whole && !statistics.is_empty() && statistics.iter().all(|pixel| pixel.samples > 1);
-        let estimates = is_known.then(|| Metric::ALL.map(|metric| self.estimate(metric, &image.film)));
-        Certificate {
+        let pixels = if is_known { sampled(&image.film) } else { Vec::new() };
+        let known = if is_known { self.squares(image, &knobs, &pixels)? } else { Known::Nothing };
+        let (estimates, check) = match known {
+            Known::Squares(squares, check) => {
+                let (width, total) = (image.film.width(), self.pixels_total());
+                let confidence = self.options.confidence;
+                let of = |metric| estimate(metric, &pixels, width, squares, total, confidence);
+                (Some(Metric::ALL.map(of)), check)
+            }
+            Known::Nothing | Known::Cancelled => (None, None),
+        };
+        self.seconds.checking += begun.elapsed().as_secs_f64();
+        let is_cancelled = !is_whole || matches!(known, Known::Cancelled);
+        Ok(Certificate {
             goal: self.options.goal,
-            verdict: if is_whole { Verdict::Met } else { Verdict::Cancelled },
+            verdict: if is_cancelled { Verdict::Cancelled } else { Verdict::Met },
             geometry: GeometryBounds::of(
                 self.octree.model(),
                 self.octree.tier(),
@@ -540,25 +562,66 @@ impl Job<'_, '_> {
                 max: cut_off(Metric::Max, lost()).unwrap_or(0.0),
             },
             estimates,
-            stopping_bias: self.stopping_bias,
+            check,
             confidence: self.options.confidence,
             samples_mean: statistics.iter().map(|pixel| f64::from(pixel.samples)).sum::<f64>() / count,
             knobs,
             counters: self.counters,
             seconds: GoalSeconds { total: self.start.elapsed().as_secs_f64(), ..self.seconds },
-        }
+        })
     }
 
-    fn estimate(&self, metric: Metric, film: &Film) -> Estimate {
-        let statistics = film.statistics().unwrap_or_default();
-        let mut pixels = film.pixels().iter().zip(statistics).map(|(mean, known)| Sampled {
-            mean: *mean,
-            half_difference: known.half_difference.map(|x| x * self.stopping_bias as f32),
-            deviation: f64::from(known.deviation) * self.stopping_bias,
-            lost: f64::from(known.lost),
-        });
-        estimate(metric, &mut pixels, film.width(), self.pixels_total(), self.options.confidence)
+    /// The mean square error that samples show: the picture's own, or further ones where these had a say in stopping.
+    fn squares(
+        &mut self,
+        image: &RenderedImage,
+        knobs: &Knobs,
+        pixels: &[Sampled],
+    ) -> Result<Known, RenderError> {
+        let confidence = self.options.confidence;
+        let halves = MeanSquare::of_halves(pixels, confidence);
+        if matches!(knobs.sampling, Sampling::Fixed { .. }) {
+            return Ok(Known::Squares(halves, None));
+        }
+        let settings = knobs.settings(&self.settings);
+        let statistics = image.film.statistics().unwrap_or_default();
+        let (drawn, places) = check::draw(pixels, statistics, image.film.width(), settings.seed);
+        let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+        let (attempt, told) = (self.counters.attempts, &mut *self.progress);
+        let progress = whole(image);
+        let mut stop = || told(GoalProgress { attempt, progress });
+        let Some(again) = renderer.resample(&places, self.threads, &mut stop)? else {
+            return Ok(Known::Cancelled);
+        };
+        self.counters.effects.merge(&again.effects);
+        self.counters.trace.merge(&again.trace);
+        let further = again.means.iter().map(|mean| mean.to_array());
+        let squares = check::mean_square(pixels, &drawn, further, confidence);
+        let is_same = squares.value == halves.value;
+        let bias = if is_same { 1.0 } else { (squares.value / halves.value).sqrt() };
+        let samples = places.iter().map(|pixel| u64::from(pixel.samples)).sum();
+        Ok(Known::Squares(squares, Some(SamplingCheck { pixels: places.len() as u32, samples, bias })))
     }
+}
+
+/// What is known of each pixel of a film with statistics.
+fn sampled(film: &Film) -> Vec<Sampled> {
+    let pixels = film.pixels().iter().zip(film.statistics().unwrap_or_default());
+    pixels
+        .map(|(mean, known)| Sampled {
+            mean: *mean,
+            half_difference: known.half_difference,
+            deviation: f64::from(known.deviation),
+            lost: f64::from(known.lost),
+        })
+        .collect()
+}
+
+/// The progress of a picture that is finished.
+fn whole(image: &RenderedImage) -> Progress {
+    let tiles = image.report.tiles_total;
+    let samples = image.film.pixels().len() as u64 * u64::from(image.report.samples_per_pixel);
+    Progress { samples, samples_total: samples, tiles, tiles_total: tiles }
 }
 
 /// Tiles small enough that there are at least [`STEERED_TILES_MIN`], but not so small that their borders cost much.

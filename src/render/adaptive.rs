@@ -11,8 +11,10 @@
 //!   chance, their deviation is widened as Student's distribution is (at 95 %).
 //! - *The mode not seen.* After `n` samples on one side the share `p` of the other has, by Laplace's rule of succession, the
 //!   distribution Beta(1, n + 1), with variance `(n + 1) / ((n + 2)^2 (n + 3))`. If the other mode is `D` away, the mean is off by `p D`.
-//!   `D` is the contrast of the pixel with its eight neighbours after their first samples: an edge that comes into the pixel passes
-//!   through them as well. In even regions `D` is next to nothing and costs no sample.
+//!   `D` is the contrast of the pixel with its eight neighbours, from the least to the greatest of their first samples: an edge
+//!   that comes into the pixel passes through them as well. Single samples, as those are what lies on one side or the other: means
+//!   of a few mix both sides, come too near to each other, and let pixels stop that are wrong. In even regions `D` is next to nothing and
+//!   costs no sample.
 //!
 //! The variance that counts is the greater of both: once a pixel has seen its modes, its blocks tell. What neither a pixel's first samples nor its neighbours' have met is not known to
 //! any estimate.
@@ -91,6 +93,13 @@ impl SampleBlocks {
         self.sums.iter().sum::<DVec3>() / f64::from(self.samples.max(1))
     }
 
+    /// The least and the greatest sample per channel; of blocks, once they hold more than one.
+    pub fn range(&self) -> [DVec3; 2] {
+        self.blocks().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], (sum, size)| {
+            [low.min(sum / size), high.max(sum / size)]
+        })
+    }
+
     /// The most that the mean may lack.
     pub fn lost(&self) -> f64 {
         self.lost / f64::from(self.samples.max(1))
@@ -121,9 +130,7 @@ impl SampleBlocks {
 
     /// How many times wider than a normal distribution says an interval has to be, because the variance is known from so few blocks.
     fn widening(&self) -> f64 {
-        // Student's distribution over the normal one, at 95 %, by degrees of freedom from 1 on.
-        const STUDENT: [f64; BLOCKS - 1] = [6.483, 2.195, 1.624, 1.417, 1.312, 1.248, 1.206];
-        STUDENT[(self.blocks().count().max(2) - 2).min(BLOCKS - 2)]
+        student_widening(self.blocks().count().saturating_sub(1))
     }
 
     /// Standard deviation of the mean, in the channel where it is greatest, widened for how few blocks tell it; `contrast` is how far the other mode may be away.
@@ -145,6 +152,12 @@ impl SampleBlocks {
         let (second, second_size) = self.blocks().skip(count / 2).fold((DVec3::ZERO, 0.0), mean);
         if count < 2 { DVec3::ZERO } else { 0.5 * (first / first_size - second / second_size) }
     }
+}
+
+/// Student's distribution over the normal one at 95 %, by degrees of freedom; above seven it is that of seven.
+pub(crate) fn student_widening(freedom: usize) -> f64 {
+    const STUDENT: [f64; BLOCKS - 1] = [6.483, 2.195, 1.624, 1.417, 1.312, 1.248, 1.206];
+    STUDENT[freedom.clamp(1, BLOCKS - 1) - 1]
 }
 
 /// The `p`-quantile of the standard normal distribution, `0 < p < 1`, off by less than 2e-9 of itself (Acklam's rational
@@ -233,6 +246,11 @@ mod tests {
             let seen = &samples[..=index];
             let mean = seen.iter().sum::<f64>() / seen.len() as f64;
             assert!((blocks.mean().x - mean).abs() < 1e-12 && blocks.lost() == 0.25);
+            if seen.len() <= BLOCKS {
+                let least = seen.iter().copied().fold(f64::INFINITY, f64::min);
+                let greatest = seen.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                assert_eq!(blocks.range().map(|of| of.x), [least, greatest]);
+            }
             if index == 0 {
                 assert_eq!((blocks.variance(), blocks.half_difference()), (DVec3::INFINITY, DVec3::ZERO));
                 continue;

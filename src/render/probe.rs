@@ -183,14 +183,14 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
         let rays =
             self.trace(&places, 0, samples_min, |place, radiance, lost| blocks[place].add(radiance, lost))?;
         let size = [ground.width as usize, ground.height as usize];
-        let mean = |x: usize, y: usize| blocks[y * size[0] + x].mean();
+        let range = |x: usize, y: usize| blocks[y * size[0] + x].range();
         let mut pixels = Vec::with_capacity(area.width as usize * area.height as usize);
         for y in area.y - ground.y..area.y - ground.y + area.height {
             for x in area.x - ground.x..area.x - ground.x + area.width {
                 let at = [x as usize, y as usize];
                 let mut pixel = ProbedPixel {
                     blocks: blocks[at[1] * size[0] + at[0]],
-                    contrast: contrast(size, at, mean),
+                    contrast: contrast(size, at, range),
                     levels: Vec::new(),
                 };
                 pixel.record();

@@ -7,6 +7,7 @@ use super::layers::{Layers, layers};
 use super::probe::Probe;
 use super::query::RayQuery;
 use super::report::{Outcome, RenderReport};
+use super::resample::{self, Resampled, SampledPixel};
 use super::settings::RenderSettings;
 use super::stage::Stage;
 use super::workers::{self, ProgressFn, Thresholds, Totals};
@@ -161,6 +162,22 @@ impl Renderer<'_> {
     ) -> Result<Option<Probe<'_, Tracer<'_>>>, RenderError> {
         let query = self.octree.tracer()?;
         Probe::new(&self.stage, query, pixel_count, samples_min, &self.budget, stop)
+    }
+
+    /// As many samples again of `pixels`, on `threads`; `None` if `stop` said so.
+    ///
+    /// # Errors
+    /// As for [`Renderer::render`].
+    pub(crate) fn resample(
+        &self,
+        pixels: &[SampledPixel],
+        threads: &Threads,
+        stop: &mut (dyn FnMut() -> Control + Send),
+    ) -> Result<Option<Resampled>, RenderError> {
+        let scratch = paths::bytes_needed(&self.stage) * workers::worker_count(threads)
+            + resample::bytes_needed(pixels.len());
+        let _scratch = self.budget.reserve(Bytes(scratch as u64), "ray trees of a second look at pixels")?;
+        resample::resample(&self.stage, pixels, threads, &|| self.octree.tracer(), stop)
     }
 
     /// What [`Renderer::probe`] takes from the budget.

@@ -34,7 +34,8 @@ pub(crate) fn hash(seed: u64, pixel: u64, sample: u32, vertex: u32, purpose: Pur
         ^ purpose as u64)
 }
 
-pub(super) fn mix(mut x: u64) -> u64 {
+/// Stirs 64 bits.
+pub(crate) fn mix(mut x: u64) -> u64 {
     x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ x >> 31

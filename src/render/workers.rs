@@ -83,7 +83,18 @@ pub(crate) fn run<Q: RayQuery>(
         totals: Mutex::new(Totals::default()),
         error: Mutex::new(None),
     };
-    let worker = || shared.work(make_query);
+    on_threads(threads, &|| shared.work(make_query));
+    if let Some((_, error)) = shared.error.into_inner() {
+        return Err(error);
+    }
+    let mut totals = shared.totals.into_inner();
+    totals.tiles = shared.tiles.into_inner();
+    totals.is_cancelled = shared.cancelled.into_inner();
+    Ok(totals)
+}
+
+/// Runs `worker` once on each thread.
+pub(super) fn on_threads(threads: &Threads, worker: &(dyn Fn() + Sync)) {
     match threads {
         Threads::One | Threads::Count(0 | 1) => worker(),
         Threads::Count(count) => std::thread::scope(|scope| {
@@ -98,13 +109,6 @@ pub(crate) fn run<Q: RayQuery>(
             }
         }),
     }
-    if let Some((_, error)) = shared.error.into_inner() {
-        return Err(error);
-    }
-    let mut totals = shared.totals.into_inner();
-    totals.tiles = shared.tiles.into_inner();
-    totals.is_cancelled = shared.cancelled.into_inner();
-    Ok(totals)
 }
 
 impl Shared<'_> {
@@ -396,30 +400,30 @@ impl Tile {
             self.places[usize::from(*y) * width + usize::from(*x)] = index as u32;
         }
         let (blocks, places) = (&self.blocks, &self.places);
-        let mean = |x: usize, y: usize| blocks[places[y * width + x] as usize].mean();
+        let range = |x: usize, y: usize| blocks[places[y * width + x] as usize].range();
         self.contrasts.extend(self.pixels.iter().map(|pixel| {
             if !place.is_own(*pixel) {
                 return DVec3::ZERO;
             }
             let [x, y] = pixel.map(usize::from);
-            contrast([width, height], [x, y], mean)
+            contrast([width, height], [x, y], range)
         }));
         let pixels = &self.pixels;
         self.active.retain(|&index| place.is_own(pixels[index as usize]));
     }
 }
 
-/// How far the means of a pixel and its neighbours lie apart, per channel.
+/// How far the samples of a pixel and its neighbours lie apart, per channel; `range` is the least and the greatest of each.
 pub(super) fn contrast(
     [width, height]: [usize; 2],
     [x, y]: [usize; 2],
-    mean: impl Fn(usize, usize) -> DVec3,
+    range: impl Fn(usize, usize) -> [DVec3; 2],
 ) -> DVec3 {
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for y in y.saturating_sub(1)..height.min(y + 2) {
         for x in x.saturating_sub(1)..width.min(x + 2) {
-            let mean = mean(x, y);
-            (low, high) = (low.min(mean), high.max(mean));
+            let [least, greatest] = range(x, y);
+            (low, high) = (low.min(least), high.max(greatest));
         }
     }
     high - low

@@ -9,6 +9,7 @@ mod layers;
 mod light_transport;
 mod media;
 mod octree;
+mod resample;
 mod shading;
 mod trees;
 
