@@ -36,6 +36,20 @@ pub struct BlockError {
     pub reason: &'static str,
 }
 
+/// The bytes of a page of attributes are not what they should be (I5). Offsets are from the start of the page.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "page {page} of the attributes is damaged at byte {offset}: {reason}; compile the model again or restore the file"
+)]
+pub struct AttributeError {
+    /// Which page.
+    pub page: u32,
+    /// Where in its stored bytes.
+    pub offset: u64,
+    /// What is wrong there.
+    pub reason: &'static str,
+}
+
 /// A block could not be encoded.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EncodeError {
@@ -157,6 +171,14 @@ pub enum SourceError {
         /// How many there are.
         count: u32,
     },
+    /// The source has no such page of attributes, or none at all.
+    #[error("{name} cannot give page {page} of the attributes; render from the compiled file itself")]
+    NoAttributes {
+        /// The page asked for.
+        page: u32,
+        /// The file or other origin.
+        name: String,
+    },
     /// The file is not a valid compiled file.
     #[error("{name}: {error}")]
     Model {
@@ -276,6 +298,9 @@ pub enum LoadError {
     /// Its bytes are damaged.
     #[error(transparent)]
     Block(#[from] BlockError),
+    /// The bytes of attributes are damaged.
+    #[error(transparent)]
+    Attributes(#[from] AttributeError),
     /// A cell of a model that is compiled lazily could not be cut into blocks.
     #[error(transparent)]
     Cut(Box<CompileError>),

@@ -245,6 +245,7 @@ impl WorkingHeader {
             cells,
             materials: parse_table(material_bytes, self.material_count, self.materials.offset)?,
             source: self.made_for.source,
+            attributes: super::AttributePages::default(),
         };
         Ok((records, model))
     }

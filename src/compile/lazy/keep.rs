@@ -85,14 +85,16 @@ impl Ending for KeepCells {
         let mut write = Meter::default();
         write.add_since(start);
         remains.seconds.write = write.seconds();
-        LazyModel::assemble(
+        let mut model = LazyModel::assemble(
             self.working,
             contents,
             &remains.budget,
             remains.options,
             self.cells_at_once,
             remains.seconds,
-        )
+        )?;
+        model.attributes_left_out = remains.attributes_left_out;
+        Ok(model)
     }
 }
 

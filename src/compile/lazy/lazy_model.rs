@@ -71,6 +71,8 @@ pub struct LazyReport {
     pub blocks: u64,
     /// Length of the working file.
     pub working_bytes: u64,
+    /// Triangles with texture coordinates or normals, which a lazy compile leaves out; not known (0) if the source was not read.
+    pub attributes_left_out: u64,
     /// Whether the working file was there already, so that the source was not read.
     pub was_reopened: bool,
     /// The time of the first pass, if it was made now: parse, scatter, and, as `write`, the writing of the cells.
@@ -152,6 +154,7 @@ pub struct LazyModel {
     changed: Condvar,
     allowance: Allowance,
     was_reopened: bool,
+    pub(super) attributes_left_out: u64,
     first_pass: PhaseSeconds,
     _memory: Vec<Reservation>,
 }
@@ -176,8 +179,10 @@ impl LazyModel {
             Ok(model) => return Ok(model),
             Err(working) => working,
         };
-        let mut prepare =
-            |compiler: &mut Compiler<'_>| compiler.set_bucket_triangles(u64::from(options.cell_triangles));
+        let mut prepare = |compiler: &mut Compiler<'_>| {
+            compiler.set_bucket_triangles(u64::from(options.cell_triangles));
+            compiler.leave_attributes_out();
+        };
         let ending = KeepCells::of(working, options);
         read_file(input, output, source, &options.compile, budget, progress, &mut prepare, |compiler| {
             compiler.end(ending)
@@ -204,6 +209,7 @@ impl LazyModel {
         let mut compiler = Compiler::new(output, options.compile.clone(), budget, progress)?;
         compiler.set_source(source);
         compiler.set_bucket_triangles(u64::from(options.cell_triangles));
+        compiler.leave_attributes_out();
         emit(&mut compiler)?;
         compiler.end(KeepCells::of(working, options))
     }
@@ -298,6 +304,7 @@ impl LazyModel {
             changed: Condvar::new(),
             allowance,
             was_reopened: false,
+            attributes_left_out: 0,
             first_pass,
             _memory: memory,
         })
@@ -331,6 +338,7 @@ impl LazyModel {
             triangles_encoded: triangles.sum(),
             blocks: done().map(|cell| cell.entries.len() as u64).sum(),
             working_bytes: self.log.end(),
+            attributes_left_out: self.attributes_left_out,
             was_reopened: self.was_reopened,
             first_pass: self.first_pass,
             cut,

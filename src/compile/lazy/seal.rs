@@ -75,6 +75,8 @@ impl LazyModel {
             degenerate: written.degenerate,
             duplicates: written.duplicates,
             skipped: header.skipped,
+            triangles_with_attributes: 0,
+            attribute_bytes: 0,
             precision: header.precision,
             error_bound: match header.precision {
                 Precision::Float32 => header.error_bound,
