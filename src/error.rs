@@ -289,6 +289,40 @@ pub enum CompileError {
     },
 }
 
+/// The pictures of a model could not be read or converted.
+#[derive(Debug, thiserror::Error)]
+pub enum TextureError {
+    /// The operating system failed.
+    #[error("cannot read or write {}: {error}", path.display())]
+    Io {
+        /// The image, or the file of tiles.
+        path: PathBuf,
+        /// The cause.
+        error: io::Error,
+    },
+    /// An image that cannot be used.
+    #[error("the image {} {reason}", path.display())]
+    Image {
+        /// The image.
+        path: PathBuf,
+        /// What is wrong with it, and what to do.
+        reason: String,
+    },
+    /// The file of tiles has bytes that cannot be right.
+    #[error("{} is damaged at byte {offset}: {reason}; remove it to have it made again", path.display())]
+    Damaged {
+        /// The file of tiles.
+        path: PathBuf,
+        /// Where in it.
+        offset: u64,
+        /// What is wrong there.
+        reason: &'static str,
+    },
+    /// The budget is too small.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+}
+
 /// A missing block could not be brought in.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
@@ -298,6 +332,9 @@ pub enum LoadError {
     /// Its bytes are damaged.
     #[error(transparent)]
     Block(#[from] BlockError),
+    /// A tile of a picture could not be brought in.
+    #[error(transparent)]
+    Texture(Box<TextureError>),
     /// The bytes of attributes are damaged.
     #[error(transparent)]
     Attributes(#[from] AttributeError),

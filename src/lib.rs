@@ -24,6 +24,7 @@
 //! 1. [`source`]: where a block's bytes come from
 //! 1. [`cache`]: blocks in preallocated slots
 //! 1. [`attributes`]: texture coordinates and normals in cache slots
+//! 1. [`texture`]: pictures as tiles in cache slots
 //! 1. [`access`]: recorded block accesses, and what they say about memory
 //! 1. [`octree`]: the lazy octree
 //! 1. [`trace`]: queries on streams of rays
@@ -57,6 +58,7 @@ pub mod schedule;
 pub mod simd;
 pub mod source;
 pub mod stats;
+pub mod texture;
 pub mod trace;
 pub mod transport;
 pub mod units;

@@ -14,13 +14,13 @@ use crate::compile::{Control, Threads};
 use crate::error::RenderError;
 use crate::model::Model;
 use crate::octree::Tier;
+use crate::render::SceneTracer;
 use crate::render::probe::Probe;
 use crate::render::{
     AdaptiveSampling, Film, Outcome, Progress, RenderSettings, RenderedImage, Renderer, normal_quantile,
     resample, worker_count,
 };
 use crate::scene::Scene;
-use crate::trace::Tracer;
 use crate::units::{Bytes, TileId};
 
 /// Pixels that a probe looks at, at most one in [`PROBE_SHARE`].
@@ -325,7 +325,7 @@ impl Job<'_, '_> {
     /// The highest threshold that keeps the bound, by what the probe shows.
     fn choose_deviation(
         &mut self,
-        probe: &mut Probe<'_, Tracer<'_>>,
+        probe: &mut Probe<'_, SceneTracer<'_>>,
         metric: Metric,
         bound: f64,
     ) -> Result<f64, RenderError> {
@@ -468,13 +468,13 @@ impl Job<'_, '_> {
         }
     }
 
-    fn probe<'r>(&mut self, renderer: &'r Renderer<'_>) -> Result<Probe<'r, Tracer<'r>>, RenderError> {
+    fn probe<'r>(&mut self, renderer: &'r Renderer<'_>) -> Result<Probe<'r, SceneTracer<'r>>, RenderError> {
         let share = (self.pixels_total() / PROBE_SHARE).clamp(16, u64::from(PROBE_PIXELS)) as u32;
         let probe = renderer.probe(share, AdaptiveSampling::SAMPLES_MIN, &mut || ask(self.progress))?;
         probe.ok_or(RenderError::Cancelled)
     }
 
-    fn prediction<'c>(&self, probe: &'c Probe<'_, Tracer<'_>>) -> Prediction<'c> {
+    fn prediction<'c>(&self, probe: &'c Probe<'_, SceneTracer<'_>>) -> Prediction<'c> {
         Prediction {
             cells: &probe.cells,
             columns: probe.columns,
@@ -484,7 +484,7 @@ impl Job<'_, '_> {
         }
     }
 
-    fn count(&mut self, probe: &Probe<'_, Tracer<'_>>) {
+    fn count(&mut self, probe: &Probe<'_, SceneTracer<'_>>) {
         self.counters.effects.merge(&probe.effects());
         self.counters.trace.merge(&probe.queries());
     }

@@ -23,7 +23,10 @@ pub(super) const FEATURE_ZSTD: u64 = 1;
 /// The file has pages of attributes.
 pub(super) const FEATURE_ATTRIBUTES: u64 = 2;
 
-const FEATURES_KNOWN: u64 = FEATURE_ZSTD | FEATURE_ATTRIBUTES;
+/// Materials name images.
+pub(super) const FEATURE_IMAGES: u64 = 4;
+
+const FEATURES_KNOWN: u64 = FEATURE_ZSTD | FEATURE_ATTRIBUTES | FEATURE_IMAGES;
 
 /// Where the header's own checksum starts: its last eight bytes.
 const CHECKSUM_AT: usize = HEADER_BYTES - 8;
@@ -31,8 +34,9 @@ const CHECKSUM_AT: usize = HEADER_BYTES - 8;
 /// Bytes in use before the reserved ones.
 const USED_BYTES: usize = 180;
 
-/// Bytes in use in a file with attributes.
+/// Bytes in use in a file with attributes, and in one with images.
 const USED_WITH_ATTRIBUTES: usize = 208;
+const USED_WITH_IMAGES: usize = 232;
 
 /// The header in memory.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,6 +54,8 @@ pub(super) struct Header {
     pub source: SourceRecord,
     /// The directory of the pages of attributes, and how many there are; none without [`FEATURE_ATTRIBUTES`].
     pub attributes: Option<(Section, u32)>,
+    /// The table of the materials' images; none without [`FEATURE_IMAGES`].
+    pub images: Option<Section>,
 }
 
 /// A part of the file.
@@ -101,6 +107,12 @@ impl Header {
             out.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
             out.extend_from_slice(&page_count.to_le_bytes());
             debug_assert_eq!(out.len(), USED_WITH_ATTRIBUTES);
+        }
+        if let Some(section) = self.images {
+            out.resize(USED_WITH_ATTRIBUTES, 0);
+            let fields = [section.offset, section.bytes, section.checksum];
+            out.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
+            debug_assert_eq!(out.len(), USED_WITH_IMAGES);
         }
         out.resize(CHECKSUM_AT, 0);
         out.extend_from_slice(&checksum(&out).to_le_bytes());
@@ -158,9 +170,15 @@ impl Header {
             let section = Section { offset: fields.u64(), bytes: fields.u64(), checksum: fields.u64() };
             (section, fields.u32())
         });
-        let used = if has_attributes { USED_WITH_ATTRIBUTES } else { USED_BYTES };
-        let is_clear = bytes[used..CHECKSUM_AT].iter().all(|byte| *byte == 0);
-        require(is_clear, used as u64, "a reserved byte is not zero")?;
+        let has_images = features & FEATURE_IMAGES != 0;
+        let mut fields = Fields(&bytes[USED_WITH_ATTRIBUTES..]);
+        let images =
+            has_images.then(|| Section { offset: fields.u64(), bytes: fields.u64(), checksum: fields.u64() });
+        let is_clear = |from: usize, to: usize| bytes[from..to].iter().all(|byte| *byte == 0);
+        let first = if has_attributes { USED_WITH_ATTRIBUTES } else { USED_BYTES };
+        let second = if has_images { USED_WITH_IMAGES } else { USED_WITH_ATTRIBUTES };
+        let are_clear = is_clear(first, USED_WITH_ATTRIBUTES) && is_clear(second, CHECKSUM_AT);
+        require(are_clear, first as u64, "a reserved byte is not zero")?;
 
         // Counts are refuted by the length of the file before anything is allocated by them (I5).
         require(block_count >= 1, 96, "it has no blocks")?;
@@ -191,6 +209,11 @@ impl Header {
             require(page_count >= 1 && section.bytes == bytes, 188, "there is not one entry for each page")?;
             end = section.end();
         }
+        if let Some(section) = images {
+            require(end == Some(section.offset), 208, "the images do not follow what is before them")?;
+            require(section.bytes >= 1, 216, "there are no images")?;
+            end = section.end();
+        }
         require(end == Some(file_bytes), 136, "the file has not the length that it should have")?;
         Ok(Header {
             features,
@@ -204,6 +227,7 @@ impl Header {
             materials,
             source,
             attributes,
+            images,
         })
     }
 }

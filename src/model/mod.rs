@@ -7,6 +7,7 @@ mod attributes;
 mod cells;
 mod directory;
 mod header;
+mod images;
 mod material;
 mod read;
 mod sub_boxes;
@@ -22,6 +23,7 @@ pub use attributes::{AttributePages, PageEntry};
 pub use cells::{CellEntry, Cells};
 pub use directory::{BlockEntry, SUB_BOX_COUNT};
 pub use header::{FORMAT_VERSION, HEADER_BYTES};
+pub use images::{ImageMap, MaterialImages};
 pub use material::MaterialRecord;
 pub use read::ModelReader;
 pub use sub_boxes::SubBoxes;
@@ -60,7 +62,14 @@ pub struct Model {
 impl Model {
     /// Memory that the model holds while it is open, for the memory budget (I1).
     pub fn resident_bytes(&self) -> Bytes {
-        let names: usize = self.materials.iter().map(|material| material.name.capacity()).sum();
+        let images = |material: &MaterialRecord| {
+            let images = material.images.as_deref();
+            images.map_or(0, |images| {
+                size_of::<MaterialImages>() + images.all().map(|(map, _)| map.path.capacity()).sum::<usize>()
+            })
+        };
+        let names: usize =
+            self.materials.iter().map(|material| material.name.capacity() + images(material)).sum();
         let blocks = self.blocks.capacity() * size_of::<BlockEntry>();
         let materials = self.materials.capacity() * size_of::<MaterialRecord>();
         let own = (size_of::<Model>() + blocks + materials + names) as u64;

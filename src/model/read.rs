@@ -75,6 +75,16 @@ impl ModelReader {
         if crate::block::checksum(&table) != checksum {
             return Err(damaged("material table", offset, "its checksum is wrong").into());
         }
+        let mut materials = parse_table(&table, header.material_count, offset)?;
+        if let Some(section) = header.images {
+            let Section { offset, bytes: _, checksum } = section;
+            let mut table = vec![0; section_bytes(section)?];
+            read("the table of images", offset, &mut table)?;
+            if crate::block::checksum(&table) != checksum {
+                return Err(damaged("table of images", offset, "its checksum is wrong").into());
+            }
+            super::images::parse_table(&table, offset, &mut materials)?;
+        }
         Ok(Model {
             precision: header.precision,
             limits: header.limits,
@@ -82,7 +92,7 @@ impl ModelReader {
             triangle_count: header.triangle_count,
             blocks,
             cells: Cells::default(),
-            materials: parse_table(&table, header.material_count, offset)?,
+            materials,
             source: header.source,
             attributes: pages,
         })

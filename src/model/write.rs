@@ -2,7 +2,7 @@
 
 use super::attributes::{AttributePages, PageEntry};
 use super::directory::{BlockEntry, ENTRY_BYTES, EntryContext, SUB_BOX_COUNT};
-use super::header::{FEATURE_ATTRIBUTES, FEATURE_ZSTD, HEADER_BYTES, Header, Section};
+use super::header::{FEATURE_ATTRIBUTES, FEATURE_IMAGES, FEATURE_ZSTD, HEADER_BYTES, Header, Section};
 use super::material::table_bytes;
 use super::{MaterialRecord, SourceRecord, SubBoxes};
 use crate::block::attributes::PageCheck;
@@ -202,7 +202,8 @@ impl ModelWriter {
             checksum: checksum(&tail[start..end]),
         };
         let materials_end = tail.len();
-        let (directory, materials) = (section(0, directory_bytes), section(directory_bytes, materials_end));
+        let (directory, materials_section) =
+            (section(0, directory_bytes), section(directory_bytes, materials_end));
         for entry in self.pages.entries() {
             entry.put(&mut tail);
         }
@@ -213,9 +214,24 @@ impl ModelWriter {
         };
         // `push_page` keeps the count below 2^32.
         let attributes = (!self.pages.is_empty()).then_some((pages, self.pages.entries().len() as u32));
+        let pages_end = tail.len();
+        tail.extend_from_slice(&super::images::table_bytes(materials)?);
+        let images = (tail.len() > pages_end).then(|| Section {
+            offset: self.end + pages_end as u64,
+            bytes: (tail.len() - pages_end) as u64,
+            checksum: checksum(&tail[pages_end..]),
+        });
+        let materials = materials_section;
         let file_bytes = self.end + tail.len() as u64;
+        let mut features = self.codecs;
+        if attributes.is_some() {
+            features |= FEATURE_ATTRIBUTES;
+        }
+        if images.is_some() {
+            features |= FEATURE_IMAGES;
+        }
         let header = Header {
-            features: self.codecs | if attributes.is_some() { FEATURE_ATTRIBUTES } else { 0 },
+            features,
             precision: self.precision,
             limits: self.limits,
             bounds: self.bounds,
@@ -227,6 +243,7 @@ impl ModelWriter {
             materials,
             source,
             attributes,
+            images,
         };
         Ok(SealedModel { header: header.to_bytes(), tail_offset: self.end, file_bytes, tail })
     }

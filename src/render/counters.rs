@@ -43,6 +43,10 @@ pub struct EffectCounters {
     pub lens_rays: u64,
     /// Camera rays at a sampled time.
     pub shutter_rays: u64,
+    /// Hits whose triangle was asked for the attributes of its corners.
+    pub attribute_lookups: u64,
+    /// Hits that were shaded with an interpolated normal.
+    pub smooth_hits: u64,
     /// Random numbers drawn by effects; positions in pixels not counted.
     pub random_numbers: u64,
     /// Rays and lamps not followed because they could not add more than the contribution bound.
@@ -62,12 +66,12 @@ impl EffectCounters {
     }
 
     /// Every counter with its name.
-    pub fn fields(&self) -> [(&'static str, u64); 23] {
+    pub fn fields(&self) -> [(&'static str, u64); 25] {
         let mut copy = *self;
         copy.fields_mut().map(|(name, count)| (name, *count))
     }
 
-    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 23] {
+    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 25] {
         // Taken apart, so that a new counter cannot be forgotten.
         let EffectCounters {
             samples,
@@ -89,6 +93,8 @@ impl EffectCounters {
             medium_overflows,
             lens_rays,
             shutter_rays,
+            attribute_lookups,
+            smooth_hits,
             random_numbers,
             contribution_cuts,
             roulette_ends,
@@ -114,6 +120,8 @@ impl EffectCounters {
             ("medium_overflows", medium_overflows),
             ("lens_rays", lens_rays),
             ("shutter_rays", shutter_rays),
+            ("attribute_lookups", attribute_lookups),
+            ("smooth_hits", smooth_hits),
             ("random_numbers", random_numbers),
             ("contribution_cuts", contribution_cuts),
             ("roulette_ends", roulette_ends),

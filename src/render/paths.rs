@@ -11,8 +11,10 @@ use glam::DVec3;
 
 use super::bounce::{Walk, bounce};
 use super::counters::EffectCounters;
+use super::detail::Detail;
+use super::detail::normals::on_side;
 use super::glossy;
-use super::hot::{EffectsOfLoop, Matt, Sampled, Whitted};
+use super::hot::{Detailed, EffectsOfLoop, Matt, Sampled, Whitted};
 use super::lamps::{Lobes, Scatter, highlight};
 use super::media::{Border, Borders};
 use super::optics::{absorb, reflect, split};
@@ -161,6 +163,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             Loop::Matt => self.trace_in::<Matt>(samples),
             Loop::Whitted => self.trace_in::<Whitted>(samples),
             Loop::Sampled => self.trace_in::<Sampled>(samples),
+            Loop::Detailed => self.trace_in::<Detailed>(samples),
         }
     }
 
@@ -224,7 +227,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         }
         let traced = Instant::now();
         self.seconds.paths += (traced - start).as_secs_f64();
-        self.shade::<E>();
+        self.shade::<E>()?;
         self.seconds.shading += traced.elapsed().as_secs_f64();
         if self.stage.direct {
             self.light::<E>()?;
@@ -270,7 +273,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     }
 
     /// Adds background, emission and ambient light, lists the points to be lit, and spawns children.
-    fn shade<E: EffectsOfLoop>(&mut self) {
+    fn shade<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
         self.points.clear();
         self.scatters.clear();
         self.next_heads.clear();
@@ -332,7 +335,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 continue;
             }
             self.radiance[slot] += head.throughput * (shader.emission + shader.diffuse * stage.ambient);
-            let point = Point {
+            let mut point = Point {
                 slot: head.slot,
                 material: hit.material,
                 throughput: head.throughput,
@@ -341,6 +344,16 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 origin: origin_on(normal),
                 view: -direction,
             };
+            if E::DETAILED {
+                let (query, counters) = (&mut self.query, &mut self.counters);
+                let detail = Detail::at(stage, query, counters, &hit, shader, (normal, -direction))?;
+                point.normal = detail.normal;
+                if detail.lift != DVec3::ZERO {
+                    // The offset keeps its side: the lift never leads to the other.
+                    point.position += detail.lift;
+                    point.origin = (DVec3::from_array(point.origin) + detail.lift).to_array();
+                }
+            }
             let is_lit = stage.direct || E::SAMPLED && stage.samples_lights();
             let eta =
                 if E::SECONDARY { index_ratio(stage, shader, border.as_ref(), is_behind) } else { None };
@@ -355,18 +368,21 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 }
             }
             if E::SECONDARY {
-                self.spawn::<E>(index, &head, shader, &point, eta, || origin_on(-normal));
+                self.spawn::<E>(index, &head, shader, &point, normal, eta, || origin_on(-normal));
             }
         }
+        Ok(())
     }
 
-    /// Decides which rays leave `point`, and makes one the sample's next head.
+    /// Decides which rays leave `point`, whose triangle has the normal `geometric`, and makes one the sample's next head.
+    #[expect(clippy::too_many_arguments, reason = "all belong to one hit")]
     fn spawn<E: EffectsOfLoop>(
         &mut self,
         index: usize,
         head: &Head,
         shader: &Shader,
         point: &Point,
+        geometric: DVec3,
         eta: Option<f64>,
         far_origin: impl Fn() -> [f64; 3],
     ) {
@@ -403,6 +419,11 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 transmitted *= lobe.map_or(0.0, |lobe| lobe.weight);
                 course[0] = Course::Sampled(lobe.map_or(0.0, |lobe| lobe.density));
             }
+        }
+        if E::DETAILED {
+            // Where the two normals disagree, rays still go to the side that they are meant for.
+            onward = onward.map(|onward| on_side(onward, -geometric));
+            away = Some(on_side(away.unwrap_or_else(|| reflect(direction, point.normal)), geometric));
         }
         let mut candidates = [
             (Kind::Transmission, DVec3::splat(if onward.is_some() { transmitted } else { 0.0 })),

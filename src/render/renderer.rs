@@ -1,17 +1,19 @@
 //! Puts octree, scene and settings together.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::film::Film;
 use super::layers::{Layers, layers};
 use super::probe::Probe;
-use super::query::RayQuery;
+use super::query::{RayQuery, SceneTracer};
 use super::report::{Outcome, RenderReport};
 use super::resample::{self, Resampled, SampledPixel};
 use super::settings::RenderSettings;
 use super::stage::Stage;
 use super::workers::{self, ProgressFn, Thresholds, Totals};
 use super::{Progress, paths};
+use crate::attributes::AttributeCache;
 use crate::budget::MemoryBudget;
 use crate::cache::CacheStats;
 use crate::compile::{Control, Threads};
@@ -19,7 +21,6 @@ use crate::error::{RenderError, TraceError};
 use crate::model::Model;
 use crate::octree::LazyOctree;
 use crate::scene::{EffectPlan, Scene};
-use crate::trace::Tracer;
 use crate::units::Bytes;
 
 /// A picture and what making it took.
@@ -50,14 +51,17 @@ pub struct Renderer<'a> {
     pub(super) stage: Stage,
     plan: EffectPlan,
     pub(super) budget: MemoryBudget,
+    attributes: Option<AttributeCache>,
 }
 
 impl<'a> Renderer<'a> {
     /// A renderer for `scene` over the geometry of `octree`. Checks scene and settings and makes the
-    /// [`EffectPlan`]; memory is taken from `budget` only while [`Renderer::render`] runs.
+    /// [`EffectPlan`]. Memory is taken from `budget` only while [`Renderer::render`] runs, but for the cache of attributes, if the
+    /// picture needs any: that is there from here on until the renderer is dropped.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] for a scene or settings that make no sense.
+    /// [`RenderError::Setting`] for a scene or settings that make no sense; [`RenderError::Budget`] and [`RenderError::Trace`] if attributes are
+    /// needed and their cache does not fit, or the octree's source cannot give them.
     pub fn new(
         octree: &'a LazyOctree,
         scene: &Scene,
@@ -65,7 +69,18 @@ impl<'a> Renderer<'a> {
         budget: &MemoryBudget,
     ) -> Result<Renderer<'a>, RenderError> {
         let (stage, plan) = set(scene, octree.model(), settings)?;
-        Ok(Renderer { octree, stage, plan, budget: budget.clone() })
+        // Threads of a render have a tracer each.
+        let attributes = match stage.needs_attributes(octree.model()) {
+            true => {
+                let (source, share) = (Arc::clone(octree.source()), Bytes(settings.detail_bytes));
+                Some(
+                    AttributeCache::open(source, share, octree.tracers_max().max(1), budget)
+                        .map_err(TraceError::Load)?,
+                )
+            }
+            false => None,
+        };
+        Ok(Renderer { octree, stage, plan, budget: budget.clone(), attributes })
     }
 
     /// What a render on `threads` takes from the budget for film, ray trees and tables. An octree opened without
@@ -80,7 +95,26 @@ impl<'a> Renderer<'a> {
         threads: &Threads,
     ) -> Result<Bytes, RenderError> {
         let (stage, _) = set(scene, model, settings)?;
-        Ok(memory(&stage, threads).total())
+        let mut bytes = memory(&stage, threads).total();
+        if stage.needs_attributes(model) {
+            let readers = workers::worker_count(threads) as u32;
+            bytes.0 += AttributeCache::footprint(model, Bytes(settings.detail_bytes), readers).0;
+        }
+        Ok(bytes)
+    }
+
+    /// What the cache of attributes did, if the picture needs one.
+    pub fn attribute_stats(&self) -> Option<CacheStats> {
+        self.attributes.as_ref().map(AttributeCache::stats)
+    }
+
+    /// A query for one thread.
+    ///
+    /// # Errors
+    /// [`RenderError::Trace`] if the octree gives no more tracers.
+    pub(super) fn query(&self) -> Result<SceneTracer<'_>, TraceError> {
+        let attributes = self.attributes.as_ref().map(AttributeCache::reader);
+        Ok(SceneTracer { tracer: self.octree.tracer()?, attributes })
     }
 
     /// The effects that will be simulated, and why.
@@ -95,7 +129,7 @@ impl<'a> Renderer<'a> {
     /// [`RenderError::Budget`] if the layers do not fit, [`RenderError::Trace`] if a block cannot be brought in,
     /// [`RenderError::Cancelled`] if `progress` said so.
     pub fn layers(&self, progress: &mut dyn FnMut(Progress) -> Control) -> Result<Layers, RenderError> {
-        layers(&self.stage, &self.budget, &mut self.octree.tracer()?, progress)
+        layers(&self.stage, &self.budget, &mut self.query()?, progress)
     }
 
     /// Makes the picture on `threads`. `progress` is called after each batch of samples, by one thread at a time;
@@ -121,8 +155,7 @@ impl<'a> Renderer<'a> {
         progress: &mut (dyn FnMut(Progress) -> Control + Send),
     ) -> Result<RenderedImage, RenderError> {
         let cache_before = self.octree.cache().stats();
-        let picture =
-            picture(&self.stage, threads, &self.budget, &|| self.octree.tracer(), thresholds, progress)?;
+        let picture = picture(&self.stage, threads, &self.budget, &|| self.query(), thresholds, progress)?;
         let Picture { film, totals, wall_seconds, memory } = picture;
         let settings = &self.stage.settings;
         let report = RenderReport {
@@ -159,8 +192,8 @@ impl Renderer<'_> {
         pixel_count: u32,
         samples_min: u32,
         stop: &mut dyn FnMut() -> Control,
-    ) -> Result<Option<Probe<'_, Tracer<'_>>>, RenderError> {
-        let query = self.octree.tracer()?;
+    ) -> Result<Option<Probe<'_, SceneTracer<'_>>>, RenderError> {
+        let query = self.query()?;
         Probe::new(&self.stage, query, pixel_count, samples_min, &self.budget, stop)
     }
 
@@ -177,7 +210,7 @@ impl Renderer<'_> {
         let scratch = paths::bytes_needed(&self.stage) * workers::worker_count(threads)
             + resample::bytes_needed(pixels.len());
         let _scratch = self.budget.reserve(Bytes(scratch as u64), "ray trees of a second look at pixels")?;
-        resample::resample(&self.stage, pixels, threads, &|| self.octree.tracer(), stop)
+        resample::resample(&self.stage, pixels, threads, &|| self.query(), stop)
     }
 
     /// What [`Renderer::probe`] takes from the budget.
@@ -191,7 +224,7 @@ impl Renderer<'_> {
         pixel_count: u32,
     ) -> Result<Bytes, RenderError> {
         let (stage, _) = set(scene, model, settings)?;
-        Ok(Probe::<Tracer<'_>>::bytes_needed(&stage, pixel_count))
+        Ok(Probe::<SceneTracer<'_>>::bytes_needed(&stage, pixel_count))
     }
 }
 

@@ -8,7 +8,7 @@ use super::sampling::pixel_offset;
 use super::settings::{PathEnd, RenderSettings};
 use super::tiles::TileGrid;
 use crate::geom::Ray;
-use crate::model::MaterialRecord;
+use crate::model::{MaterialRecord, Model};
 use crate::scene::{
     AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Scene, Surface, View,
 };
@@ -34,6 +34,8 @@ pub(crate) struct Shader {
     pub is_medium: bool,
     /// Whether lamps show on it.
     pub is_lit: bool,
+    /// Whether it looks different if its normal does.
+    pub depends_on_normal: bool,
     /// Whether it shows lights with extent by reflection, so that a highlight would show them twice.
     pub reflects: bool,
 }
@@ -91,6 +93,7 @@ impl Shader {
             priority: surface.priority,
             is_medium: surface.refracts() || surface.is_transparent() && surface.absorption != [0.0; 3],
             is_lit: surface.is_lit() || surface.alpha > 0.0,
+            depends_on_normal: surface.depends_on_normal() || surface.alpha > 0.0,
             reflects: surface.is_mirror() || surface.refracts(),
         }
     }
@@ -112,6 +115,8 @@ pub(crate) enum Loop {
     Whitted,
     /// Everything, gated at run time.
     Sampled,
+    /// And attributes of corners.
+    Detailed,
 }
 
 /// The unchanging part of a render.
@@ -159,6 +164,8 @@ pub(crate) struct Stage {
     pub force_nested: bool,
     pub force_lens: bool,
     pub force_shutter: bool,
+    pub smooth: bool,
+    pub force_smooth: bool,
 }
 
 impl Stage {
@@ -243,6 +250,8 @@ impl Stage {
             force_nested: plan.forces(Effect::NestedMedia),
             force_lens: plan.forces(Effect::DepthOfField) && !plan.has(Effect::DepthOfField),
             force_shutter: plan.forces(Effect::MotionBlur) && !plan.has(Effect::MotionBlur),
+            smooth: plan.has(Effect::SmoothNormals),
+            force_smooth: plan.forces(Effect::SmoothNormals) && !plan.has(Effect::SmoothNormals),
         };
         stage.path_loop = stage.choose_loop();
         stage
@@ -257,7 +266,9 @@ impl Stage {
             || self.roulette
             || self.forces_a_sampled_effect()
             || self.has_rough;
-        if is_sampled {
+        if self.smooth || self.force_smooth {
+            Loop::Detailed
+        } else if is_sampled {
             Loop::Sampled
         } else if self.reflection || self.transmission || self.force_reflection || self.force_transmission {
             Loop::Whitted
@@ -295,6 +306,11 @@ impl Stage {
         self.shaders.len() * (size_of::<Shader>() + size_of::<Surface>())
             + self.emitters.len() * size_of::<Emitter>()
             + self.areas.len() * size_of::<AreaEmitter>()
+    }
+
+    /// Whether hits are asked for attributes that the model has.
+    pub fn needs_attributes(&self, model: &Model) -> bool {
+        (self.smooth || self.force_smooth) && !model.attributes.is_empty()
     }
 
     /// The shading terms of a material.

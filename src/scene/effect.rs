@@ -33,11 +33,13 @@ pub enum Effect {
     MotionBlur,
     /// More than one sample per pixel.
     Antialiasing,
+    /// Light falls on the curved surface that a mesh stands for: interpolated normals.
+    SmoothNormals,
 }
 
 impl Effect {
     /// All effects.
-    pub const ALL: [Effect; 14] = [
+    pub const ALL: [Effect; 15] = [
         Effect::DirectLight,
         Effect::Shadows,
         Effect::AreaLight,
@@ -52,6 +54,7 @@ impl Effect {
         Effect::DepthOfField,
         Effect::MotionBlur,
         Effect::Antialiasing,
+        Effect::SmoothNormals,
     ];
 
     /// The name used in reports.
@@ -71,6 +74,7 @@ impl Effect {
             Effect::DepthOfField => "depth of field",
             Effect::MotionBlur => "motion blur",
             Effect::Antialiasing => "antialiasing",
+            Effect::SmoothNormals => "smooth normals",
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The traits of a scene and its materials that call for effects, and the verdict on each effect in words.
 
 use super::effect::{Effect, EffectOptions, EffectSet};
+use super::plan::AttributeKinds;
 use super::{Light, Scene, Surface};
 use crate::model::MaterialRecord;
 
@@ -31,13 +32,20 @@ pub(super) struct Traits {
     transparent: Group,
     absorbing: Group,
     ranked: Group,
+    /// Materials that look different if their normal does.
+    shaded: Group,
     point_lights: usize,
     area_lights: usize,
+    attributes: AttributeKinds,
 }
 
 impl Traits {
-    pub fn of<'m>(scene: &Scene, materials: impl IntoIterator<Item = &'m MaterialRecord>) -> Traits {
-        let mut traits = Traits::default();
+    pub fn of<'m>(
+        scene: &Scene,
+        materials: impl IntoIterator<Item = &'m MaterialRecord>,
+        attributes: AttributeKinds,
+    ) -> Traits {
+        let mut traits = Traits { attributes, ..Traits::default() };
         for record in materials {
             let finish = scene.finish(record);
             let surface = Surface::with_finish(record, &finish);
@@ -51,6 +59,7 @@ impl Traits {
             traits.frosted.add(surface.refracts() && rough, record);
             traits.transparent.add(surface.is_transparent(), record);
             traits.absorbing.add(surface.is_transparent() && surface.absorption != [0.0; 3], record);
+            traits.shaded.add(surface.depends_on_normal(), record);
             traits.ranked.add(surface.is_transparent() && finish.priority.is_some(), record);
         }
         let shining = |light: &&Light| !light.is_dark();
@@ -176,6 +185,14 @@ impl Traits {
             Effect::Antialiasing => match options.samples_per_pixel {
                 0 | 1 => no("one sample per pixel was asked for"),
                 samples => yes(format!("{samples} samples per pixel were asked for")),
+            },
+            Effect::SmoothNormals => match (self.attributes.normals, self.shaded.count) {
+                (false, _) => no("no triangle has normals at its corners"),
+                (true, 0) => no("no material is lit, reflects or refracts"),
+                (true, _) => yes(format!(
+                    "the model has normals, on {}",
+                    self.shaded.describe("material that shows them", "materials that show them")
+                )),
             },
         }
     }

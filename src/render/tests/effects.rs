@@ -44,6 +44,14 @@ fn sunny() -> Scene {
         .with_light(Light::directional([0.3, -1.0, -0.4], [0.5, 0.45, 0.4]))
 }
 
+/// Two coarse spheres on a ground, the first with normals.
+fn spheres([first, second]: [MaterialRecord; 2]) -> Mesh {
+    Mesh::new([matt(0.5), first, second])
+        .sheet(0, [-5.0, -1.0, -5.0], [0.0, 0.0, 10.0], [10.0, 0.0, 0.0])
+        .sphere(1, [-0.7, 0.0, 0.0], 0.8, 1, true)
+        .sphere(2, [0.9, 0.0, -0.3], 0.8, 1, true)
+}
+
 pub(super) fn panel() -> Light {
     let shape =
         LightShape::Rectangle { corner: [-1.0, 3.0, -1.0], edges: [[2.0, 0.0, 0.0], [0.0, 0.0, 2.0]] };
@@ -114,6 +122,12 @@ pub(super) fn cases() -> Vec<Case> {
             settings: RenderSettings { samples_per_pixel: 4, ..settings() },
             ..case(Effect::Antialiasing, bricks(), sunny())
         },
+        case(Effect::SmoothNormals, spheres([matt(0.6), matt(0.4)]), sunny()),
+        case(
+            Effect::SmoothNormals,
+            spheres([chrome(), glass()]),
+            sunny().with_light(panel()).with_environment(sky()).with_interreflection(),
+        ),
     ]
 }
 
@@ -133,6 +147,7 @@ fn work_of(effect: Effect, counters: &EffectCounters) -> Option<u64> {
         Effect::Interreflection => counters.bounce_rays,
         Effect::DepthOfField => counters.lens_rays,
         Effect::MotionBlur => counters.shutter_rays,
+        Effect::SmoothNormals => counters.attribute_lookups + counters.smooth_hits,
     })
 }
 
@@ -160,8 +175,7 @@ fn every_effect_has_a_scene() {
 #[test]
 fn an_effect_works_only_in_scenes_that_call_for_it() {
     for case in cases() {
-        let plan =
-            EffectPlan::of_materials(&case.scene, &case.mesh.materials, &case.settings.effect_options());
+        let plan = case.mesh.plan(&case.scene, &case.settings);
         assert!(plan.has(case.effect), "{}", plan.explain());
         let counters = render(&case.mesh, &case.scene, &case.settings).totals.effects;
         for effect in Effect::ALL {
@@ -234,7 +248,7 @@ fn tiles_batches_and_threads_do_not_show_in_sampled_effects() {
 fn the_seed_shows_exactly_where_luck_has_a_part() {
     for case in cases() {
         let settings = RenderSettings { samples_per_pixel: 1, ..case.settings };
-        let plan = EffectPlan::of_materials(&case.scene, &case.mesh.materials, &settings.effect_options());
+        let plan = case.mesh.plan(&case.scene, &settings);
         let draws = Effect::ALL.into_iter().any(|effect| is_sampled(effect) && plan.has(effect));
         let [a, b] = [1, 2].map(|seed| {
             let film = render(&case.mesh, &case.scene, &RenderSettings { seed, ..settings }).film;
