@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use super::detail::query::SurfaceQuery;
 use super::film::Film;
 use super::image;
 use super::progress::Progress;
@@ -90,9 +91,10 @@ impl Layers {
 pub(super) fn layers(
     stage: &Stage,
     budget: &MemoryBudget,
-    query: &mut impl RayQuery,
+    query: impl RayQuery,
     progress: &mut dyn FnMut(Progress) -> Control,
 ) -> Result<Layers, RenderError> {
+    let mut query = SurfaceQuery::new(stage, query);
     let (width, height) = (stage.grid.width, stage.grid.height);
     let reservation = budget.reserve(Layers::bytes_needed(stage), "the layers")?;
     let row_bytes = u64::from(width) * (size_of::<Ray>() + size_of::<Option<crate::trace::Hit>>()) as u64;

@@ -10,6 +10,7 @@ mod bounce;
 mod bound;
 mod counters;
 mod detail;
+mod direct;
 mod film;
 mod glossy;
 mod hot;

@@ -77,3 +77,35 @@ impl RayQuery for SceneTracer<'_> {
         self.tracer.counters()
     }
 }
+
+impl<Q: RayQuery> RayQuery for &mut Q {
+    fn closest_hits(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError> {
+        (**self).closest_hits(rays, hits)
+    }
+
+    fn closest_hits_after(
+        &mut self,
+        rays: &[Ray],
+        after: &[(f64, TriangleId)],
+        hits: &mut [Option<Hit>],
+    ) -> Result<(), TraceError> {
+        (**self).closest_hits_after(rays, after, hits)
+    }
+
+    fn occluded(
+        &mut self,
+        rays: &[Ray],
+        ignore: Option<&MaterialSet>,
+        out: &mut [Occlusion],
+    ) -> Result<(), TraceError> {
+        (**self).occluded(rays, ignore, out)
+    }
+
+    fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {
+        (**self).corner_attributes(triangle)
+    }
+
+    fn counters(&self) -> TraceCounters {
+        (**self).counters()
+    }
+}

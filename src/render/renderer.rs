@@ -21,6 +21,7 @@ use crate::error::{RenderError, TraceError};
 use crate::model::Model;
 use crate::octree::LazyOctree;
 use crate::scene::{EffectPlan, Scene};
+use crate::texture::TextureCache;
 use crate::units::Bytes;
 
 /// A picture and what making it took.
@@ -68,18 +69,22 @@ impl<'a> Renderer<'a> {
         settings: &RenderSettings,
         budget: &MemoryBudget,
     ) -> Result<Renderer<'a>, RenderError> {
-        let (stage, plan) = set(scene, octree.model(), settings)?;
+        let (mut stage, plan) = set(scene, octree.model(), settings)?;
         // Threads of a render have a tracer each.
+        let readers = octree.tracers_max().max(1);
+        let [attribute_share, texture_share] = detail_shares(&stage, settings);
         let attributes = match stage.needs_attributes(octree.model()) {
             true => {
-                let (source, share) = (Arc::clone(octree.source()), Bytes(settings.detail_bytes));
-                Some(
-                    AttributeCache::open(source, share, octree.tracers_max().max(1), budget)
-                        .map_err(TraceError::Load)?,
-                )
+                let source = Arc::clone(octree.source());
+                let cache = AttributeCache::open(source, attribute_share, readers, budget);
+                Some(cache.map_err(TraceError::Load)?)
             }
             false => None,
         };
+        if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
+            let cache = TextureCache::open(Arc::clone(textures), texture_share, readers, budget)?;
+            stage.textures = Some(Arc::new(cache));
+        }
         Ok(Renderer { octree, stage, plan, budget: budget.clone(), attributes })
     }
 
@@ -96,9 +101,13 @@ impl<'a> Renderer<'a> {
     ) -> Result<Bytes, RenderError> {
         let (stage, _) = set(scene, model, settings)?;
         let mut bytes = memory(&stage, threads).total();
+        let readers = workers::worker_count(threads) as u32;
+        let [attribute_share, texture_share] = detail_shares(&stage, settings);
         if stage.needs_attributes(model) {
-            let readers = workers::worker_count(threads) as u32;
-            bytes.0 += AttributeCache::footprint(model, Bytes(settings.detail_bytes), readers).0;
+            bytes.0 += AttributeCache::footprint(model, attribute_share, readers).0;
+        }
+        if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
+            bytes.0 += TextureCache::footprint(textures, texture_share, readers).0;
         }
         Ok(bytes)
     }
@@ -106,6 +115,11 @@ impl<'a> Renderer<'a> {
     /// What the cache of attributes did, if the picture needs one.
     pub fn attribute_stats(&self) -> Option<CacheStats> {
         self.attributes.as_ref().map(AttributeCache::stats)
+    }
+
+    /// What the cache of textures did, if the picture needs one.
+    pub fn texture_stats(&self) -> Option<CacheStats> {
+        self.stage.textures.as_deref().map(TextureCache::stats)
     }
 
     /// A query for one thread.
@@ -129,7 +143,7 @@ impl<'a> Renderer<'a> {
     /// [`RenderError::Budget`] if the layers do not fit, [`RenderError::Trace`] if a block cannot be brought in,
     /// [`RenderError::Cancelled`] if `progress` said so.
     pub fn layers(&self, progress: &mut dyn FnMut(Progress) -> Control) -> Result<Layers, RenderError> {
-        layers(&self.stage, &self.budget, &mut self.query()?, progress)
+        layers(&self.stage, &self.budget, self.query()?, progress)
     }
 
     /// Makes the picture on `threads`. `progress` is called after each batch of samples, by one thread at a time;
@@ -236,6 +250,13 @@ pub(super) struct Picture {
     pub memory: Bytes,
 }
 
+/// Bytes for the caches of attributes and of textures: a quarter for those, if there are these.
+fn detail_shares(stage: &Stage, settings: &RenderSettings) -> [Bytes; 2] {
+    let all = settings.detail_bytes;
+    let attributes = if stage.needs_textures() { all / 4 } else { all };
+    [attributes, all - attributes].map(Bytes)
+}
+
 /// Checks scene and settings and brings them into the form that rendering wants.
 pub(super) fn set(
     scene: &Scene,
@@ -245,6 +266,9 @@ pub(super) fn set(
     scene.validate()?;
     settings.validate()?;
     scene.validate_finishes(&model.materials)?;
+    if model.attributes.have_uvs() {
+        scene.validate_textures(&model.materials, settings.switched_off)?;
+    }
     let plan = EffectPlan::scan(scene, model, &settings.effect_options());
     Ok((Stage::new(scene, &model.materials, &plan, settings), plan))
 }

@@ -1,8 +1,11 @@
 //! Everything about a picture that stays the same while it is made, in the form that shading wants.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::bound::RadianceBound;
+use super::detail::maps::{CutOuts, MaterialMaps, cut_outs, maps};
 use super::random::{Dimension, SampleKey, VertexId};
 use super::sampling::pixel_offset;
 use super::settings::{PathEnd, RenderSettings};
@@ -12,6 +15,7 @@ use crate::model::{MaterialRecord, Model};
 use crate::scene::{
     AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Scene, Surface, View,
 };
+use crate::texture::TextureCache;
 use crate::trace::MaterialSet;
 use crate::units::MaterialId;
 
@@ -165,7 +169,14 @@ pub(crate) struct Stage {
     pub force_lens: bool,
     pub force_shutter: bool,
     pub smooth: bool,
-    pub force_smooth: bool,
+    /// Whether attributes are looked up although they cannot matter.
+    pub force_details: bool,
+    /// The pictures of each material; empty if the plan needs none.
+    maps: Vec<MaterialMaps>,
+    /// Materials that are not there everywhere.
+    pub cut_outs: Option<CutOuts>,
+    /// Where tiles of pictures come from, if there are any.
+    pub textures: Option<Arc<TextureCache>>,
 }
 
 impl Stage {
@@ -210,6 +221,7 @@ impl Stage {
         if !plan.has(Effect::MotionBlur) {
             camera = camera.at_rest();
         }
+        let details = [Effect::SmoothNormals, Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
         let mut stage = Stage {
             grid: settings.grid(),
             settings: *settings,
@@ -251,8 +263,12 @@ impl Stage {
             force_lens: plan.forces(Effect::DepthOfField) && !plan.has(Effect::DepthOfField),
             force_shutter: plan.forces(Effect::MotionBlur) && !plan.has(Effect::MotionBlur),
             smooth: plan.has(Effect::SmoothNormals),
-            force_smooth: plan.forces(Effect::SmoothNormals) && !plan.has(Effect::SmoothNormals),
+            force_details: details.into_iter().any(|effect| plan.forces(effect) && !plan.has(effect)),
+            maps: maps(scene, materials, plan),
+            cut_outs: None,
+            textures: None,
         };
+        stage.cut_outs = cut_outs(&stage.maps, stage.transparent.as_ref());
         stage.path_loop = stage.choose_loop();
         stage
     }
@@ -266,7 +282,7 @@ impl Stage {
             || self.roulette
             || self.forces_a_sampled_effect()
             || self.has_rough;
-        if self.smooth || self.force_smooth {
+        if self.smooth || self.force_details || self.maps.iter().any(MaterialMaps::are_seen) {
             Loop::Detailed
         } else if is_sampled {
             Loop::Sampled
@@ -304,13 +320,24 @@ impl Stage {
     /// What the tables take, those needed only to make them included.
     pub fn bytes(&self) -> usize {
         self.shaders.len() * (size_of::<Shader>() + size_of::<Surface>())
+            + self.maps.len() * size_of::<MaterialMaps>()
             + self.emitters.len() * size_of::<Emitter>()
             + self.areas.len() * size_of::<AreaEmitter>()
     }
 
     /// Whether hits are asked for attributes that the model has.
     pub fn needs_attributes(&self, model: &Model) -> bool {
-        (self.smooth || self.force_smooth) && !model.attributes.is_empty()
+        (self.smooth || self.force_details || self.needs_textures()) && !model.attributes.is_empty()
+    }
+
+    /// Whether hits are looked up in pictures.
+    pub fn needs_textures(&self) -> bool {
+        self.cut_outs.is_some() || self.maps.iter().any(MaterialMaps::are_seen)
+    }
+
+    /// The pictures of a material.
+    pub fn maps(&self, material: MaterialId) -> &MaterialMaps {
+        self.maps.get(usize::from(material.0)).unwrap_or(&MaterialMaps::NONE)
     }
 
     /// The shading terms of a material.

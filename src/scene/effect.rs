@@ -35,11 +35,17 @@ pub enum Effect {
     Antialiasing,
     /// Light falls on the curved surface that a mesh stands for: interpolated normals.
     SmoothNormals,
+    /// Colours from image files.
+    Textures,
+    /// Surfaces that are not there where an image says so.
+    AlphaCutouts,
+    /// Heights or normals from image files bend what light falls on.
+    BumpMaps,
 }
 
 impl Effect {
     /// All effects.
-    pub const ALL: [Effect; 15] = [
+    pub const ALL: [Effect; 18] = [
         Effect::DirectLight,
         Effect::Shadows,
         Effect::AreaLight,
@@ -55,6 +61,9 @@ impl Effect {
         Effect::MotionBlur,
         Effect::Antialiasing,
         Effect::SmoothNormals,
+        Effect::Textures,
+        Effect::AlphaCutouts,
+        Effect::BumpMaps,
     ];
 
     /// The name used in reports.
@@ -75,6 +84,9 @@ impl Effect {
             Effect::MotionBlur => "motion blur",
             Effect::Antialiasing => "antialiasing",
             Effect::SmoothNormals => "smooth normals",
+            Effect::Textures => "textures",
+            Effect::AlphaCutouts => "alpha cut-outs",
+            Effect::BumpMaps => "bump maps",
         }
     }
 }

@@ -80,6 +80,12 @@ impl TextureCache {
     }
 }
 
+impl std::fmt::Debug for TextureCache {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("TextureCache").field("textures", &self.textures).finish_non_exhaustive()
+    }
+}
+
 fn own_bytes(textures: &Textures) -> u64 {
     let per_image = (17 * size_of::<Level>() + size_of::<Vec<Level>>()) as u64;
     textures.image_count() as u64 * per_image + 2 * size_of::<Table>() as u64

@@ -1,8 +1,11 @@
-//! What hits look like by the attributes of their corners: smooth normals.
+//! What hits look like by the attributes of their corners: smooth normals, pictures, holes, bumps.
 
+use super::effects::{pictures, with_images};
 use super::*;
+use crate::model::{ImageMap, MaterialImages};
 use crate::render::Film;
 use crate::scene::{Effect, EffectSet, Light};
+use crate::texture::{Encoding, ImageKey, PixelImage, Textures};
 
 /// From the front, with a lamp far to the left of the camera.
 fn lit_from_the_side() -> Scene {
@@ -100,4 +103,211 @@ fn normals_from_behind_and_across_never_give_more_than_the_light() {
             }
         }
     }
+}
+
+fn diffuse(name: &str) -> MaterialImages {
+    MaterialImages { diffuse: Some(ImageMap::new(name)), ..MaterialImages::default() }
+}
+
+/// One picture by this name, of `width` x `height` texels.
+fn picture(
+    name: &str,
+    encoding: Encoding,
+    width: u32,
+    height: u32,
+    texel: impl Fn(u32, u32) -> [u8; 4],
+) -> Arc<Textures> {
+    let texels = (0..width * height).map(|index| texel(index % width, index / width)).collect();
+    Textures::in_memory([(ImageKey { path: name.into(), encoding }, PixelImage { width, height, texels })])
+        .unwrap()
+}
+
+/// A square that fills the picture of the straight camera, lit by ambient light alone.
+fn wall(material: MaterialRecord) -> Mesh {
+    Mesh::new([material]).card(0, [-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], 1.0)
+}
+
+fn ambient() -> Scene {
+    Scene::new(straight_camera()).with_ambient([1.0; 3])
+}
+
+#[test]
+fn a_picture_lies_on_the_surface_as_it_should() {
+    // Sixteen texels of their own colour: one pixel each.
+    let texel = |x: u32, y: u32| [(x * 60) as u8, (y * 60) as u8, 128, 255];
+    let scene = ambient().with_textures(picture("a", Encoding::Srgb, 4, 4, texel));
+    let mesh = wall(with_images(matt(0.5), diffuse("a")));
+    let settings = RenderSettings { contribution_bound: 0.0, ..RenderSettings::new(4, 4) };
+    let found = render(&mesh, &scene, &settings);
+    let linear = |byte: u8| {
+        let x = f64::from(byte) / 255.0;
+        if x <= 0.04045 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
+    };
+    for y in 0..4 {
+        for x in 0..4 {
+            // Rows of pictures and of image files both run from the top; `Kd` multiplies.
+            let [r, g, b, _] = texel(x, y).map(linear);
+            assert_close(found.film.pixel(x, y), [r, g, b].map(|channel| 0.5 * channel), 1e-6);
+        }
+    }
+    // Turned over and doubled by the options of the map.
+    let map = ImageMap { scale: [2.0, -1.0], offset: [0.0, 1.0], ..ImageMap::new("a") };
+    let images = MaterialImages { diffuse: Some(map), ..MaterialImages::default() };
+    let turned = render(&wall(with_images(matt(0.5), images)), &scene, &settings).film;
+    // Two texels share a pixel across: the size that is one half.
+    assert!(turned.pixel(0, 0) == turned.pixel(2, 0) && turned.pixel(0, 0) != turned.pixel(1, 0));
+    assert!(turned.pixel(0, 0)[1] > turned.pixel(0, 3)[1]);
+}
+
+#[test]
+fn from_afar_a_picture_is_its_mean() {
+    // Half black, half white in stripes finer than a pixel: grey, without a moire, from one sample.
+    let stripes = picture("a", Encoding::Srgb, 256, 256, |x, _| {
+        let v = if x % 2 == 0 { 0 } else { 255 };
+        [v, v, v, 255]
+    });
+    let mesh = wall(with_images(matt(1.0), diffuse("a")));
+    let scene = ambient().with_textures(stripes);
+    let settings = RenderSettings { contribution_bound: 0.0, ..RenderSettings::new(8, 8) };
+    for pixel in render(&mesh, &scene, &settings).film.pixels() {
+        assert_close(*pixel, [0.5; 3], 0.01);
+    }
+    // Seen close, each stripe is black or white.
+    let close = Scene::new(
+        Camera::orthographic([0.001, 0.001, 5.0], [0.001, 0.001, 0.0], [0.0, 1.0, 0.0], 0.01).unwrap(),
+    );
+    let close = close.with_ambient([1.0; 3]).with_textures(Arc::clone(scene.textures().unwrap()));
+    let film = render(&mesh, &close, &RenderSettings::new(64, 4)).film;
+    let extremes = film.pixels().iter().filter(|pixel| pixel[0] < 0.02 || pixel[0] > 0.98).count();
+    assert!(extremes > film.pixels().len() / 4, "{extremes}");
+}
+
+#[test]
+fn seams_of_a_repeated_picture_do_not_show() {
+    // A picture that goes on across its border, on two cards whose coordinates meet at a whole number.
+    let smooth = |x: u32, y: u32| {
+        let wave = |at: u32| 127.5 + 100.0 * (f64::from(at) / 128.0 * std::f64::consts::TAU).sin();
+        [wave(x) as u8, wave(y) as u8, 90, 255]
+    };
+    let scene = ambient().with_textures(picture("a", Encoding::Srgb, 128, 128, smooth));
+    let mesh = Mesh::new([with_images(matt(1.0), diffuse("a"))])
+        .card(0, [-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], 1.0)
+        .card(0, [0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], 1.0);
+    let film = render(&mesh, &scene, &RenderSettings::new(64, 64)).film;
+    let step = |x: u32, y: u32| (film.pixel(x + 1, y)[0] - film.pixel(x, y)[0]).abs();
+    for y in 0..64 {
+        let inside = (8..24).map(|x| step(x, y)).fold(0.0f32, f32::max);
+        assert!(step(31, y) <= 2.0 * inside + 0.01, "{y}: {} {inside}", step(31, y));
+    }
+}
+
+#[test]
+fn rays_of_every_kind_pass_what_is_cut_out() {
+    // A wall with a hole before a glowing one; light from behind the camera throws the hole's shape onto a third.
+    let hole = picture("a", Encoding::Linear, 2, 1, |x, _| if x == 0 { [0, 0, 0, 255] } else { [255; 4] });
+    let images = MaterialImages {
+        opacity: Some(ImageMap { clamp: true, ..ImageMap::new("a") }),
+        ..MaterialImages::default()
+    };
+    let glowing = MaterialRecord { emission: [1.0, 0.0, 0.0], ..matt(0.0) };
+    let front = with_images(matt(0.0), images);
+    let mesh = |front: MaterialRecord| {
+        Mesh::new([front, glowing.clone()])
+            .card(0, [-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], 1.0)
+            .card(0, [-1.0, -1.0, -0.5], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], 1.0)
+            .sheet(1, [-1.0, -1.0, -1.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0])
+    };
+    let scene = ambient().with_textures(Arc::clone(&hole));
+    let settings = RenderSettings::new(8, 4);
+    let found = render(&mesh(front.clone()), &scene, &settings);
+    for y in 0..4 {
+        for x in 0..8 {
+            assert_eq!(found.film.pixel(x, y)[0] > 0.5, x < 4, "{x}");
+        }
+    }
+    // Two holes for each of the rays on the left.
+    assert_eq!(found.totals.effects.cutouts_passed, 2 * 16);
+    assert_eq!(found.totals.effects.cutout_tests, 2 * 16 + 16);
+    // Shadows: light through the hole, and where it is not.
+    let lit = Mesh::new([front, matt(1.0)])
+        .card(0, [-1.0, -1.0, 1.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], 1.0)
+        .sheet(1, [-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]);
+    // From below the card, so that only shadow rays meet it.
+    let camera = Camera::orthographic([0.0, 0.0, 0.5], [0.0; 3], [0.0, 1.0, 0.0], 2.0).unwrap();
+    let scene =
+        Scene::new(camera).with_light(Light::directional([0.0, 0.0, -1.0], [1.0; 3])).with_textures(hole);
+    let film = render(&lit, &scene, &settings).film;
+    for y in 0..4 {
+        for x in 0..8 {
+            assert_eq!(film.pixel(x, y)[0] > 0.5, x < 4, "{x}");
+        }
+    }
+}
+
+#[test]
+fn alpha_exactly_at_the_threshold_is_there() {
+    // Bytes 127 and 128 lie around one half; between 0 and 255 the linear filter gives one half exactly in the middle.
+    let scene = |left: u8, right: u8| {
+        let texel = move |x: u32, _| [0, 0, 0, if x == 0 { left } else { right }];
+        ambient().with_textures(picture("a", Encoding::Srgb, 2, 1, texel))
+    };
+    let map = ImageMap { clamp: true, ..ImageMap::new("a") };
+    let images = MaterialImages { diffuse: Some(map), ..MaterialImages::default() };
+    let mesh = wall(with_images(matt(1.0), images));
+    let count = |scene: &Scene, width| {
+        render(&mesh, scene, &RenderSettings::new(width, width)).totals.effects.cutouts_passed
+    };
+    assert_eq!(count(&scene(127, 127), 4), 16);
+    assert_eq!(count(&scene(128, 128), 4), 0);
+    // Three columns: the middle ray meets the picture's middle, where alpha is one half; it is there, as is all to the right.
+    let settings = RenderSettings::new(3, 3);
+    let camera = Camera::orthographic([0.0, 0.0, 5.0], [0.0; 3], [0.0, 1.0, 0.0], 2.0).unwrap();
+    let scene = scene(0, 255).with_camera(camera);
+    assert_eq!(render(&mesh, &scene, &settings).totals.effects.cutouts_passed, 3);
+}
+
+#[test]
+fn bumps_turn_to_the_light_and_flat_pictures_change_nothing() {
+    let flat = picture("a", Encoding::Linear, 4, 4, |_, _| [128, 128, 255, 255]);
+    let images = |map: ImageMap, is_normal| match is_normal {
+        true => MaterialImages { normal: Some(map), ..MaterialImages::default() },
+        false => MaterialImages { bump: Some(map), ..MaterialImages::default() },
+    };
+    let light = |toward: [f64; 3]| Light::directional(toward.map(|x| -x), [1.0; 3]);
+    let scene = |toward, textures: &Arc<Textures>| {
+        Scene::new(straight_camera()).with_light(light(toward)).with_textures(Arc::clone(textures))
+    };
+    let settings = RenderSettings { contribution_bound: 0.0, ..RenderSettings::new(4, 4) };
+    let plain = render(&wall(matt(1.0)), &scene([0.0, 0.6, 0.8], &flat), &settings).film;
+    let bumped = wall(with_images(matt(1.0), images(ImageMap::new("a"), false)));
+    assert!(render(&bumped, &scene([0.0, 0.6, 0.8], &flat), &settings).film.pixels() == plain.pixels());
+    let normals = wall(with_images(matt(1.0), images(ImageMap::new("a"), true)));
+    for pixel in render(&normals, &scene([0.0, 0.6, 0.8], &flat), &settings).film.pixels() {
+        // 128 of 255 is not quite the middle.
+        assert_close(*pixel, [0.8; 3], 0.005);
+    }
+    // A ramp that rises to the right faces left; a normal map that says right faces right; on the back of the wall likewise.
+    let ramp = picture("a", Encoding::Linear, 64, 4, |x, _| [(x * 4) as u8, 0, 0, 255]);
+    let right = picture("a", Encoding::Linear, 4, 4, |_, _| [218, 128, 218, 255]);
+    let brightness = |mesh: &Mesh, toward, textures| {
+        let film = render(mesh, &scene(toward, textures), &settings).film;
+        f64::from(film.pixel(1, 1)[0])
+    };
+    let steep =
+        wall(with_images(matt(1.0), images(ImageMap { strength: 30.0, ..ImageMap::new("a") }, false)));
+    let (from_left, from_right) = ([-0.6, 0.0, 0.8], [0.6, 0.0, 0.8]);
+    assert!(brightness(&steep, from_left, &ramp) > brightness(&steep, from_right, &ramp) + 0.2);
+    assert!(brightness(&normals, from_right, &right) > brightness(&normals, from_left, &right) + 0.5);
+    assert!((brightness(&normals, [0.6, 0.0, 0.8], &right) - 0.707 * 1.4).abs() < 0.02);
+}
+
+#[test]
+fn pictures_that_are_not_open_are_an_error_not_a_grey_surface() {
+    let scene = ambient();
+    let materials = [with_images(matt(0.5), diffuse("chequer"))];
+    let error = scene.validate_textures(&materials, EffectSet::EMPTY).unwrap_err().to_string();
+    assert!(error.contains("chequer") && error.contains("with_textures"), "{error}");
+    let off = EffectSet::EMPTY.with(Effect::Textures).with(Effect::AlphaCutouts);
+    scene.validate_textures(&materials, off).unwrap();
+    scene.with_textures(pictures()).validate_textures(&materials, EffectSet::EMPTY).unwrap();
 }

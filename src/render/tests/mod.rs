@@ -31,6 +31,7 @@ use crate::geom::{Ray, intersect_certified};
 use crate::model::MaterialRecord;
 use crate::scene::{AttributeKinds, Camera, EffectPlan, Scene};
 use crate::stats::TraceCounters;
+use crate::texture::TextureCache;
 use crate::trace::{Hit, MaterialSet, Occlusion};
 use crate::units::{BlockId, Bytes, MaterialId, TriangleId};
 
@@ -65,6 +66,19 @@ impl Mesh {
         self.triangles.push((corners, material));
         self.attributes.push(attributes);
         self
+    }
+
+    /// [`Mesh::sheet`] with texture coordinates from 0 to `repeats` along `a` and `b`.
+    fn card(self, material: u16, corner: [f64; 3], a: [f64; 3], b: [f64; 3], repeats: f32) -> Mesh {
+        let add = |p: [f64; 3], q: [f64; 3]| [0, 1, 2].map(|axis| p[axis] + q[axis]);
+        let (along, far, across) = (add(corner, a), add(add(corner, a), b), add(corner, b));
+        let r = repeats;
+        let uvs = |uvs| CornerAttributes { uvs: Some(uvs), normals: None };
+        self.triangle(material, [corner, along, far], uvs([[0.0, 0.0], [r, 0.0], [r, r]])).triangle(
+            material,
+            [corner, far, across],
+            uvs([[0.0, 0.0], [r, r], [0.0, r]]),
+        )
     }
 
     /// An octahedron around the origin whose faces are cut `depth` times in four, pushed out to `radius`; `is_smooth` gives it the
@@ -228,6 +242,16 @@ impl RayQuery for Naive {
     }
 }
 
+/// Gives a stage the pictures of its scene.
+fn open_textures(stage: &mut Stage, scene: &Scene) {
+    if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
+        let budget = MemoryBudget::new(Bytes::mib(64));
+        let readers = 4;
+        let cache = TextureCache::open(Arc::clone(textures), Bytes(0), readers, &budget).unwrap();
+        stage.textures = Some(Arc::new(cache));
+    }
+}
+
 fn render_until(
     mesh: &Mesh,
     scene: &Scene,
@@ -237,7 +261,8 @@ fn render_until(
     progress: &mut (dyn FnMut(super::Progress) -> Control + Send),
 ) -> Result<Picture, RenderError> {
     let plan = mesh.plan(scene, settings);
-    let stage = Stage::new(scene, &mesh.materials, &plan, settings);
+    let mut stage = Stage::new(scene, &mesh.materials, &plan, settings);
+    open_textures(&mut stage, scene);
     let mesh = Arc::new(mesh.clone());
     let budget = MemoryBudget::new(Bytes::mib(64));
     let naive = || Ok(Naive { mesh: mesh.clone(), counters: TraceCounters::default(), rays_left });
