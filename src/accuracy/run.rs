@@ -108,10 +108,12 @@ pub fn bytes_needed(
     // While a further picture is made, the best so far is kept.
     let film = Film::bytes_needed(&most.grid(), true);
     let probe = Renderer::probe_bytes(scene, model, &most, PROBE_PIXELS)?;
+    // While one renderer is there for its probe, others come and go.
+    let details = Renderer::detail_bytes(scene, model, &most, worker_count(threads) as u32)?;
     // Ray trees of the check are not more than those of the picture.
     let pixels = settings.width as usize * settings.height as usize;
     let check = resample::bytes_needed(pixels) as u64;
-    Ok(Bytes(render.0 + film.0 + probe.0 + check + own_bytes(settings, options).0))
+    Ok(Bytes(render.0 + 2 * details.0 + film.0 + probe.0 + check + own_bytes(settings, options).0))
 }
 
 /// Tables and, for FLIP, planes of numbers.

@@ -25,8 +25,8 @@ const WINDOW_PAGES: usize = 128;
 pub(super) enum Attributes {
     /// Nothing: readers need not send them.
     Unwanted,
-    /// They are left out, and the triangles counted that had some.
-    Counted(u64),
+    /// They are left out; whether there were any.
+    LeftOut(bool),
     /// They are kept. There is no store as long as no attribute came.
     Kept(Option<Box<AttributeStore>>),
 }
@@ -71,8 +71,8 @@ impl Attributes {
         corners: CornerIndices<'_>,
         place: &SpillPlace,
     ) -> Result<(), CompileError> {
-        if let Attributes::Counted(triangles) = self {
-            *triangles += count as u64;
+        if let Attributes::LeftOut(any) = self {
+            *any = true;
         }
         match self.store(place)? {
             Some(store) => store.triangles(first_id, count, corners),

@@ -120,8 +120,8 @@ pub(super) struct Remains {
     pub(super) source: SourceRecord,
     pub(super) materials: Vec<MaterialRecord>,
     pub(super) seconds: PhaseSeconds,
-    /// Triangles whose attributes were left out.
-    pub(super) attributes_left_out: u64,
+    /// Whether attributes of triangles were left out.
+    pub(super) attributes_left_out: bool,
 }
 
 /// The time of an attempt that came to nothing.
@@ -233,10 +233,10 @@ impl<'p> Compiler<'p> {
         self.source = source;
     }
 
-    /// Leaves attributes out and counts the triangles that have some, unless they are not wanted anyway.
+    /// Leaves attributes out and notes whether there are any, unless they are not wanted anyway.
     pub(super) fn leave_attributes_out(&mut self) {
         if self.options.attributes {
-            self.attributes = Attributes::Counted(0);
+            self.attributes = Attributes::LeftOut(false);
         }
     }
 
@@ -525,10 +525,7 @@ impl<'p> Compiler<'p> {
         let mut total = Meter::default();
         total.add_since(self.start);
         Remains {
-            attributes_left_out: match self.attributes {
-                Attributes::Counted(triangles) => triangles,
-                Attributes::Unwanted | Attributes::Kept(_) => 0,
-            },
+            attributes_left_out: matches!(self.attributes, Attributes::LeftOut(true)),
             budget: self.budget,
             quota: self.place.quota,
             options: self.options,

@@ -142,3 +142,73 @@ fn parse<'b>(
     *place = Some(ImageMap { path, scale: [su, sv], offset: [ou, ov], strength, clamp: clamp == 1 });
     Ok(rest)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn materials() -> Vec<MaterialRecord> {
+        let map =
+            |path: &str| Some(ImageMap { scale: [2.0, -1.0], offset: [0.5, 0.0], ..ImageMap::new(path) });
+        let first =
+            MaterialImages { diffuse: map("a.png"), normal: map("folder/n.png"), ..Default::default() };
+        let clamped = ImageMap { clamp: true, strength: 0.25, ..ImageMap::new("ä") };
+        let third = MaterialImages {
+            bump: Some(clamped),
+            opacity: map(""),
+            specular: map("s"),
+            ..Default::default()
+        };
+        let with = |images: MaterialImages| MaterialRecord {
+            images: Some(Box::new(images)),
+            ..MaterialRecord::default()
+        };
+        vec![with(first), MaterialRecord::default(), with(third)]
+    }
+
+    fn read(bytes: &[u8]) -> Result<Vec<MaterialRecord>, ModelError> {
+        let mut found = vec![MaterialRecord::default(); 3];
+        parse_table(bytes, 1000, &mut found).map(|()| found)
+    }
+
+    #[test]
+    fn images_come_back() {
+        let bytes = table_bytes(&materials()).unwrap();
+        assert_eq!(read(&bytes).unwrap(), materials());
+        assert!(table_bytes(&[MaterialRecord::default()]).unwrap().is_empty());
+        let mut bad = materials();
+        if let Some(map) = bad[0].images.as_mut().and_then(|images| images.diffuse.as_mut()) {
+            map.strength = f32::NAN;
+        }
+        assert!(table_bytes(&bad).is_err());
+    }
+
+    #[test]
+    fn damaged_tables_are_refused_or_sound() {
+        let bytes = table_bytes(&materials()).unwrap();
+        let mut whole = 0;
+        for length in 1..bytes.len() {
+            whole += u32::from(read(&bytes[..length]).is_ok());
+        }
+        // Only where an image ends: the header says where the table ends.
+        assert_eq!(whole, 4);
+        let (mut refused, mut sound) = (0, 0);
+        for at in 0..8 * bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[at / 8] ^= 1 << (at % 8);
+            match read(&damaged) {
+                Err(ModelError::Damaged { offset, .. }) => {
+                    assert!((1000..1000 + bytes.len() as u64).contains(&offset));
+                    refused += 1;
+                }
+                Err(other) => panic!("{other}"),
+                Ok(found) => {
+                    // What was read can be written.
+                    table_bytes(&found).unwrap();
+                    sound += 1;
+                }
+            }
+        }
+        assert!(refused > 50 && sound > 50, "{refused} {sound}");
+    }
+}

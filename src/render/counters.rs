@@ -54,6 +54,8 @@ pub struct EffectCounters {
     pub cutout_tests: u64,
     /// Those that rays passed because it is.
     pub cutouts_passed: u64,
+    /// Queries that carried rays on behind what is cut out.
+    pub cutout_rays: u64,
     /// Lookups in pictures of heights and normals.
     pub bump_reads: u64,
     /// Random numbers drawn by effects; positions in pixels not counted.
@@ -76,22 +78,29 @@ impl EffectCounters {
 
     /// Adds what was looked up.
     pub(super) fn add_details(&mut self, found: &DetailCounters) {
-        let DetailCounters { attribute_lookups, texture_reads, cutout_tests, cutouts_passed, bump_reads } =
-            found;
+        let DetailCounters {
+            attribute_lookups,
+            texture_reads,
+            cutout_tests,
+            cutouts_passed,
+            cutout_rays,
+            bump_reads,
+        } = found;
         self.attribute_lookups += attribute_lookups;
         self.texture_reads += texture_reads;
         self.cutout_tests += cutout_tests;
         self.cutouts_passed += cutouts_passed;
+        self.cutout_rays += cutout_rays;
         self.bump_reads += bump_reads;
     }
 
     /// Every counter with its name.
-    pub fn fields(&self) -> [(&'static str, u64); 29] {
+    pub fn fields(&self) -> [(&'static str, u64); 30] {
         let mut copy = *self;
         copy.fields_mut().map(|(name, count)| (name, *count))
     }
 
-    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 29] {
+    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 30] {
         // Taken apart, so that a new counter cannot be forgotten.
         let EffectCounters {
             samples,
@@ -118,6 +127,7 @@ impl EffectCounters {
             texture_reads,
             cutout_tests,
             cutouts_passed,
+            cutout_rays,
             bump_reads,
             random_numbers,
             contribution_cuts,
@@ -149,6 +159,7 @@ impl EffectCounters {
             ("texture_reads", texture_reads),
             ("cutout_tests", cutout_tests),
             ("cutouts_passed", cutouts_passed),
+            ("cutout_rays", cutout_rays),
             ("bump_reads", bump_reads),
             ("random_numbers", random_numbers),
             ("contribution_cuts", contribution_cuts),
@@ -168,6 +179,7 @@ impl EffectCounters {
             + self.frosted_rays
             + self.bounce_rays
             + self.medium_rays
+            + self.cutout_rays
             + self.forced_rays
     }
 }

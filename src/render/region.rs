@@ -73,7 +73,9 @@ impl Renderer<'_> {
         settings: &RenderSettings,
     ) -> Result<Bytes, RenderError> {
         let (stage, _) = set(scene, model, settings)?;
-        Ok(scratch_bytes(&stage))
+        // Caches are shared by all threads; a part of each thread's own is as much or more.
+        let details = Renderer::detail_bytes(scene, model, settings, 1)?;
+        Ok(Bytes(scratch_bytes(&stage).0 + details.0))
     }
 
     /// A renderer of regions for the calling thread. Regions may have at most the settings' `tile_size` pixels a side. While

@@ -100,16 +100,23 @@ impl<'a> Renderer<'a> {
         threads: &Threads,
     ) -> Result<Bytes, RenderError> {
         let (stage, _) = set(scene, model, settings)?;
-        let mut bytes = memory(&stage, threads).total();
         let readers = workers::worker_count(threads) as u32;
-        let [attribute_share, texture_share] = detail_shares(&stage, settings);
-        if stage.needs_attributes(model) {
-            bytes.0 += AttributeCache::footprint(model, attribute_share, readers).0;
-        }
-        if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
-            bytes.0 += TextureCache::footprint(textures, texture_share, readers).0;
-        }
-        Ok(bytes)
+        let details = detail_bytes(&stage, scene, model, readers);
+        Ok(Bytes(memory(&stage, threads).total().0 + details.0))
+    }
+
+    /// Of [`Renderer::bytes_needed`], what the caches of attributes and textures take for so many threads.
+    ///
+    /// # Errors
+    /// As for [`Renderer::new`].
+    pub(crate) fn detail_bytes(
+        scene: &Scene,
+        model: &Model,
+        settings: &RenderSettings,
+        readers: u32,
+    ) -> Result<Bytes, RenderError> {
+        let (stage, _) = set(scene, model, settings)?;
+        Ok(detail_bytes(&stage, scene, model, readers))
     }
 
     /// What the cache of attributes did, if the picture needs one.
@@ -248,6 +255,19 @@ pub(super) struct Picture {
     pub totals: Totals,
     pub wall_seconds: f64,
     pub memory: Bytes,
+}
+
+/// What the caches of attributes and textures take for so many threads.
+fn detail_bytes(stage: &Stage, scene: &Scene, model: &Model, readers: u32) -> Bytes {
+    let [attribute_share, texture_share] = detail_shares(stage, &stage.settings);
+    let mut bytes = 0;
+    if stage.needs_attributes(model) {
+        bytes += AttributeCache::footprint(model, attribute_share, readers).0;
+    }
+    if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
+        bytes += TextureCache::footprint(textures, texture_share, readers).0;
+    }
+    Bytes(bytes)
 }
 
 /// Bytes for the caches of attributes and of textures: a quarter for those, if there are these.

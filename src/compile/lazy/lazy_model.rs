@@ -71,8 +71,9 @@ pub struct LazyReport {
     pub blocks: u64,
     /// Length of the working file.
     pub working_bytes: u64,
-    /// Triangles with texture coordinates or normals, which a lazy compile leaves out; not known (0) if the source was not read.
-    pub attributes_left_out: u64,
+    /// Whether the source has texture coordinates, normals or materials with images, which a lazy compile leaves out: the picture
+    /// is not the one of the whole model.
+    pub details_left_out: bool,
     /// Whether the working file was there already, so that the source was not read.
     pub was_reopened: bool,
     /// The time of the first pass, if it was made now: parse, scatter, and, as `write`, the writing of the cells.
@@ -154,7 +155,6 @@ pub struct LazyModel {
     changed: Condvar,
     allowance: Allowance,
     was_reopened: bool,
-    pub(super) attributes_left_out: u64,
     first_pass: PhaseSeconds,
     _memory: Vec<Reservation>,
 }
@@ -304,7 +304,6 @@ impl LazyModel {
             changed: Condvar::new(),
             allowance,
             was_reopened: false,
-            attributes_left_out: 0,
             first_pass,
             _memory: memory,
         })
@@ -338,7 +337,7 @@ impl LazyModel {
             triangles_encoded: triangles.sum(),
             blocks: done().map(|cell| cell.entries.len() as u64).sum(),
             working_bytes: self.log.end(),
-            attributes_left_out: self.attributes_left_out,
+            details_left_out: self.contents.header.details_left_out,
             was_reopened: self.was_reopened,
             first_pass: self.first_pass,
             cut,
@@ -498,7 +497,8 @@ pub(super) fn options_hash(options: &CompileOptions, cell_triangles: u32) -> u64
         PrecisionChoice::Float32 => (1, 0),
         PrecisionChoice::Lattice { exponent } => (2, exponent),
     };
-    let mut bytes = vec![options.codec.id(), kind, u8::from(options.skip_not_finite)];
+    let mut bytes =
+        vec![options.codec.id(), kind, u8::from(options.skip_not_finite), u8::from(options.attributes)];
     bytes.extend_from_slice(&exponent.to_le_bytes());
     bytes.extend_from_slice(&options.block_bytes.to_le_bytes());
     bytes.extend_from_slice(&cell_triangles.to_le_bytes());

@@ -25,6 +25,8 @@ pub(crate) struct DetailCounters {
     /// Hits of which it was asked whether they are cut out, and those that are.
     pub cutout_tests: u64,
     pub cutouts_passed: u64,
+    /// Queries that carried rays on behind them.
+    pub cutout_rays: u64,
     /// Lookups in pictures of heights and normals.
     pub bump_reads: u64,
 }
@@ -108,6 +110,7 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
         }
         while !self.places.is_empty() {
             let count = self.places.len();
+            self.counters.cutout_rays += count as u64;
             self.hits.resize(self.hits.len().max(count), None);
             self.geometry.closest_hits_after(&self.rays, &self.after, &mut self.hits[..count])?;
             let mut left = 0;
@@ -149,6 +152,7 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
         let mut is_first = true;
         while !open.is_empty() {
             let hits = &mut hits[..open.len()];
+            self.counters.cutout_rays += open.len() as u64;
             if is_first {
                 self.geometry.closest_hits(&open_rays, hits)?;
             } else {

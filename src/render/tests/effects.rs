@@ -228,7 +228,7 @@ fn work_of(effect: Effect, counters: &EffectCounters) -> Option<u64> {
         Effect::MotionBlur => counters.shutter_rays,
         Effect::SmoothNormals => counters.smooth_hits,
         Effect::Textures => counters.texture_reads,
-        Effect::AlphaCutouts => counters.cutout_tests + counters.cutouts_passed,
+        Effect::AlphaCutouts => counters.cutout_tests + counters.cutouts_passed + counters.cutout_rays,
         Effect::BumpMaps => counters.bump_reads,
     })
 }
