@@ -88,7 +88,9 @@ pub(super) fn face<const WANTED: bool>(
     let three = [a, b, c];
     if WANTED {
         references.clear();
-        references.extend([first, second, third]);
+        for (place, reference) in [first, second, third].into_iter().enumerate() {
+            note(references, place, reference);
+        }
     }
     let end = line_end(data, at);
     if end.is_none() {
@@ -105,15 +107,21 @@ pub(super) fn face<const WANTED: bool>(
         }
         corners.push(corner);
         if WANTED {
-            references.push(reference);
+            note(references, corners.len() - 1, reference);
         }
         at = after;
         end = line_end(data, at);
     };
-    if WANTED && references.as_flattened().iter().all(|index| *index == NO_INDEX) {
-        references.clear();
-    }
     Some((three, next))
+}
+
+/// Takes the attributes of corner number `place`; nothing is written before the first corner that names any.
+#[inline(always)]
+fn note(references: &mut Vec<Reference>, place: usize, reference: Reference) {
+    if reference != [NO_INDEX; 2] || !references.is_empty() {
+        references.resize(place, [NO_INDEX; 2]);
+        references.push(reference);
+    }
 }
 
 /// One corner, `a`, `a/b`, `a//c` or `a/b/c`, its attributes if they are `WANTED`, and the place after it.
