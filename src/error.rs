@@ -36,6 +36,20 @@ pub struct BlockError {
     pub reason: &'static str,
 }
 
+/// The bytes of a page of attributes are not what they should be (I5). Offsets are from the start of the page.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "page {page} of the attributes is damaged at byte {offset}: {reason}; compile the model again or restore the file"
+)]
+pub struct AttributeError {
+    /// Which page.
+    pub page: u32,
+    /// Where in its stored bytes.
+    pub offset: u64,
+    /// What is wrong there.
+    pub reason: &'static str,
+}
+
 /// A block could not be encoded.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EncodeError {
@@ -157,6 +171,14 @@ pub enum SourceError {
         /// How many there are.
         count: u32,
     },
+    /// The source has no such page of attributes, or none at all.
+    #[error("{name} cannot give page {page} of the attributes; render from the compiled file itself, or switch the effects off that need them")]
+    NoAttributes {
+        /// The page asked for.
+        page: u32,
+        /// The file or other origin.
+        name: String,
+    },
     /// The file is not a valid compiled file.
     #[error("{name}: {error}")]
     Model {
@@ -267,6 +289,40 @@ pub enum CompileError {
     },
 }
 
+/// The pictures of a model could not be read or converted.
+#[derive(Debug, thiserror::Error)]
+pub enum TextureError {
+    /// The operating system failed.
+    #[error("cannot read or write {}: {error}", path.display())]
+    Io {
+        /// The image, or the file of tiles.
+        path: PathBuf,
+        /// The cause.
+        error: io::Error,
+    },
+    /// An image that cannot be used.
+    #[error("the image {} {reason}", path.display())]
+    Image {
+        /// The image.
+        path: PathBuf,
+        /// What is wrong with it, and what to do.
+        reason: String,
+    },
+    /// The file of tiles has bytes that cannot be right.
+    #[error("{} is damaged at byte {offset}: {reason}; remove it to have it made again", path.display())]
+    Damaged {
+        /// The file of tiles.
+        path: PathBuf,
+        /// Where in it.
+        offset: u64,
+        /// What is wrong there.
+        reason: &'static str,
+    },
+    /// The budget is too small.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+}
+
 /// A missing block could not be brought in.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
@@ -276,6 +332,12 @@ pub enum LoadError {
     /// Its bytes are damaged.
     #[error(transparent)]
     Block(#[from] BlockError),
+    /// A tile of a picture could not be brought in.
+    #[error(transparent)]
+    Texture(Box<TextureError>),
+    /// The bytes of attributes are damaged.
+    #[error(transparent)]
+    Attributes(#[from] AttributeError),
     /// A cell of a model that is compiled lazily could not be cut into blocks.
     #[error(transparent)]
     Cut(Box<CompileError>),

@@ -23,6 +23,8 @@
 //! 1. [`compile`]: triangles to a compiled file in bounded memory
 //! 1. [`source`]: where a block's bytes come from
 //! 1. [`cache`]: blocks in preallocated slots
+//! 1. [`attributes`]: texture coordinates and normals in cache slots
+//! 1. [`texture`]: pictures as tiles in cache slots
 //! 1. [`access`]: recorded block accesses, and what they say about memory
 //! 1. [`octree`]: the lazy octree
 //! 1. [`trace`]: queries on streams of rays
@@ -37,6 +39,7 @@
 
 pub mod access;
 pub mod accuracy;
+pub mod attributes;
 pub mod block;
 pub mod budget;
 pub mod cache;
@@ -55,6 +58,7 @@ pub mod schedule;
 pub mod simd;
 pub mod source;
 pub mod stats;
+pub mod texture;
 pub mod trace;
 pub mod transport;
 pub mod units;

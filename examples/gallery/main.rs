@@ -5,6 +5,7 @@ mod common;
 mod mesh;
 mod page;
 mod scenes;
+mod surfaces;
 
 use std::error::Error;
 use std::path::PathBuf;

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use outcrop::MemoryBudget;
 use outcrop::compile::{CompileOptions, Compiler, Control};
-use outcrop::import::{MeshSink, VertexBatch};
+use outcrop::import::{CornerIndices, MeshSink, NO_INDEX, VertexBatch};
 use outcrop::model::MaterialRecord;
 use outcrop::source::MemorySource;
 
@@ -14,6 +14,10 @@ use outcrop::source::MemorySource;
 pub struct Mesh {
     vertices: Vec<[f64; 3]>,
     triangles: Vec<([u32; 3], usize)>,
+    uvs: Vec<[f32; 2]>,
+    normals: Vec<[f32; 3]>,
+    /// Texture coordinates and normals of the corners of each triangle; those behind the last have none.
+    corners: Vec<[[u32; 3]; 2]>,
     materials: Vec<MaterialRecord>,
 }
 
@@ -39,6 +43,61 @@ impl Mesh {
         let corners = [corner, add(corner, a), add(add(corner, a), b), add(corner, b)];
         let [p, q, r, s] = corners.map(|corner| self.vertex(corner));
         self.triangles.extend([([p, q, r], material), ([p, r, s], material)]);
+    }
+
+    /// The last `count` triangles have texture coordinates and normals by these numbers.
+    fn attach(&mut self, corners: &[[[u32; 3]; 2]]) {
+        self.corners.resize(self.triangles.len() - corners.len(), [[NO_INDEX; 3]; 2]);
+        self.corners.extend_from_slice(corners);
+    }
+
+    /// [`Mesh::quad`] with texture coordinates from 0 to `repeats` along `a` and `b`.
+    pub fn card(&mut self, material: usize, corner: [f64; 3], a: [f64; 3], b: [f64; 3], repeats: [f32; 2]) {
+        let first = self.uvs.len() as u32;
+        let [u, v] = repeats;
+        self.uvs.extend([[0.0, 0.0], [u, 0.0], [u, v], [0.0, v]]);
+        self.quad(material, corner, a, b);
+        let [p, q, r, s] = [0, 1, 2, 3].map(|corner| first + corner);
+        self.attach(&[[[p, q, r], [NO_INDEX; 3]], [[p, r, s], [NO_INDEX; 3]]]);
+    }
+
+    /// A ball of few facets, with texture coordinates by longitude and latitude, and with normals if it `is_smooth`.
+    pub fn globe(
+        &mut self,
+        material: usize,
+        center: [f64; 3],
+        radius: f64,
+        rings: u32,
+        is_smooth: bool,
+        repeats: [f32; 2],
+    ) {
+        let segments = 2 * rings;
+        let (first_uv, first_normal) = (self.uvs.len() as u32, self.normals.len() as u32);
+        let mut vertices = Vec::new();
+        for ring in 0..=rings {
+            for segment in 0..=segments {
+                let (down, around) =
+                    (f64::from(ring) / f64::from(rings), f64::from(segment) / f64::from(segments));
+                let ((sin, cos), (x, z)) = ((0.5 * TAU * down).sin_cos(), (TAU * around).sin_cos());
+                let normal = [sin * z, cos, -sin * x];
+                vertices.push(self.vertex([0, 1, 2].map(|axis| center[axis] + radius * normal[axis])));
+                self.normals.push(normal.map(|x| x as f32));
+                self.uvs.push([around as f32 * repeats[0], (1.0 - down) as f32 * repeats[1]]);
+            }
+        }
+        let mut corners = Vec::new();
+        for ring in 0..rings {
+            for segment in 0..segments {
+                let at = |down: u32, around: u32| (ring + down) * (segments + 1) + segment + around;
+                let [a, b, c, d] = [at(0, 0), at(1, 0), at(1, 1), at(0, 1)];
+                for triangle in [[a, b, c], [a, c, d]] {
+                    self.triangles.push((triangle.map(|at| vertices[at as usize]), material));
+                    let normals = triangle.map(|at| if is_smooth { first_normal + at } else { NO_INDEX });
+                    corners.push([triangle.map(|at| first_uv + at), normals]);
+                }
+            }
+        }
+        self.attach(&corners);
     }
 
     /// A closed box on the point `foot` (the middle of its lower face), turned about the vertical.
@@ -125,8 +184,16 @@ impl Mesh {
             ids.push(compiler.material(record.clone())?);
         }
         compiler.vertices(VertexBatch::Float64(&self.vertices))?;
-        for (triangle, material) in &self.triangles {
-            compiler.triangles(&[*triangle], ids[*material])?;
+        compiler.texture_coordinates(&self.uvs)?;
+        compiler.normals(&self.normals)?;
+        for (index, (triangle, material)) in self.triangles.iter().enumerate() {
+            match self.corners.get(index) {
+                None => compiler.triangles(&[*triangle], ids[*material])?,
+                Some([uvs, normals]) => {
+                    let corners = CornerIndices { uvs: Some(&[*uvs]), normals: Some(&[*normals]) };
+                    compiler.triangles_with_attributes(&[*triangle], corners, ids[*material])?;
+                }
+            }
         }
         compiler.finish()?;
         let bytes = std::fs::read(&path)?;

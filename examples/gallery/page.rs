@@ -83,7 +83,7 @@ impl Page {
         let mut text = String::from(
             "# Gallery\n\n\
              Made by `cargo run --release --example gallery`, pictures, plans and figures alike. Each scene is built in code in\n\
-             [`examples/gallery/scenes.rs`](../../examples/gallery/scenes.rs); normals are those of the triangles.\n\n",
+             [`examples/gallery/scenes.rs`](../../examples/gallery/scenes.rs) and [`surfaces.rs`](../../examples/gallery/surfaces.rs).\n\n",
         );
         if !self.rows.is_empty() {
             text.push_str(

@@ -10,6 +10,7 @@ use outcrop::scene::{
 };
 
 use crate::mesh::Mesh;
+use crate::surfaces;
 
 /// One picture of the gallery.
 pub struct Entry {
@@ -22,20 +23,20 @@ pub struct Entry {
     pub samples_per_pixel: u32,
 }
 
-fn matt(diffuse: [f32; 3]) -> MaterialRecord {
+pub fn matt(diffuse: [f32; 3]) -> MaterialRecord {
     MaterialRecord { diffuse, ..MaterialRecord::default() }
 }
 
-fn shiny(diffuse: [f32; 3]) -> MaterialRecord {
+pub fn shiny(diffuse: [f32; 3]) -> MaterialRecord {
     MaterialRecord { specular: [0.35; 3], shininess: 60.0, ..matt(diffuse) }
 }
 
-fn metal(specular: [f32; 3]) -> MaterialRecord {
+pub fn metal(specular: [f32; 3]) -> MaterialRecord {
     MaterialRecord { diffuse: [0.0; 3], specular, mirror: true, ..MaterialRecord::default() }
 }
 
 /// Clear glass; `tint` is what is left of light after a unit of length.
-fn glass(refractive_index: f32, tint: [f32; 3]) -> MaterialRecord {
+pub fn glass(refractive_index: f32, tint: [f32; 3]) -> MaterialRecord {
     MaterialRecord {
         diffuse: [0.0; 3],
         opacity: 0.0,
@@ -48,26 +49,26 @@ fn glass(refractive_index: f32, tint: [f32; 3]) -> MaterialRecord {
 const CLEAR: [f32; 3] = [1.0; 3];
 const UP: [f64; 3] = [0.0, 1.0, 0.0];
 
-fn camera(eye: [f64; 3], look_at: [f64; 3], fov: f64) -> Result<Camera, Box<dyn Error>> {
+pub fn camera(eye: [f64; 3], look_at: [f64; 3], fov: f64) -> Result<Camera, Box<dyn Error>> {
     Ok(Camera::pinhole(eye, look_at, UP, fov)?)
 }
 
 /// A ground in pale and dark squares.
-fn ground(mesh: &mut Mesh) {
+pub fn ground(mesh: &mut Mesh) {
     let pale = mesh.material("pale tile", matt([0.62, 0.6, 0.56]));
     let dark = mesh.material("dark tile", matt([0.3, 0.31, 0.33]));
     mesh.checkers([pale, dark], 0.0, 0.5, 24);
 }
 
 /// A rectangle above the scene that shines downward.
-fn panel(center: [f64; 3], width: f64, depth: f64, radiance: [f32; 3]) -> Light {
+pub fn panel(center: [f64; 3], width: f64, depth: f64, radiance: [f32; 3]) -> Light {
     let corner = [center[0] - 0.5 * width, center[1], center[2] - 0.5 * depth];
     let edges = [[width, 0.0, 0.0], [0.0, 0.0, depth]];
     Light::area(LightShape::Rectangle { corner, edges }, radiance)
 }
 
 /// A sky with haze and a low sun, computed.
-fn sky(budget: &MemoryBudget) -> Result<Environment, Box<dyn Error>> {
+pub fn sky(budget: &MemoryBudget) -> Result<Environment, Box<dyn Error>> {
     const WIDTH: u32 = 256;
     const HEIGHT: u32 = 128;
     let sun = [0.55f64, 0.5, 0.67];
@@ -109,6 +110,10 @@ pub fn all(budget: &MemoryBudget) -> Result<Vec<Entry>, Box<dyn Error>> {
         interreflection()?,
         depth_of_field()?,
         motion_blur()?,
+        surfaces::smooth_normals()?,
+        surfaces::textures(budget)?,
+        surfaces::cut_outs()?,
+        surfaces::bumps()?,
         cornell_box()?,
         interior(budget)?,
     ])
@@ -341,7 +346,7 @@ fn avenue(mesh: &mut Mesh) {
     }
 }
 
-fn daylight(camera: Camera) -> Scene {
+pub fn daylight(camera: Camera) -> Scene {
     Scene::new(camera)
         .with_background([0.6, 0.7, 0.82])
         .with_ambient([0.25, 0.26, 0.3])

@@ -93,12 +93,29 @@ pub fn prepare(
         Some(reason) => reason,
     };
     if options.is_lazy() {
-        let lazy = lazy_options(options, compile_options);
+        let lazy = lazy_options(options, compile_options.clone());
         let lazy = LazyModel::open(model, &path, &lazy, budget, &mut progress)?;
+        // Only who asked for it by name gets a picture without what a lazy compile cannot hold.
+        if lazy.report().details_left_out && !options.lazy {
+            drop(lazy);
+            return whole(model, path, &compile_options, budget, &mut progress, reason);
+        }
         let story = format!("{}, {reason}, as rays reach it", model.display());
         return Ok(Compiled { origin: Origin::Lazy(Arc::new(lazy)), story, report: None });
     }
-    let report = compile_file(model, &path, &compile_options, budget, &mut progress)?;
+    whole(model, path, &compile_options, budget, &mut progress, reason)
+}
+
+/// Compiles a model as a whole.
+fn whole(
+    model: &Path,
+    path: PathBuf,
+    compile_options: &CompileOptions,
+    budget: &MemoryBudget,
+    progress: &mut dyn FnMut(Progress) -> Control,
+    reason: &str,
+) -> Result<Compiled, Box<dyn Error>> {
+    let report = compile_file(model, &path, compile_options, budget, progress)?;
     // What an earlier run had compiled of it as rays reached it is of no more use; there may be none.
     let _ = std::fs::remove_file(LazyModel::working_path(&path));
     let story = format!("{}, {reason}", model.display());
@@ -111,7 +128,7 @@ fn lazy_options(options: &Options, compile: CompileOptions) -> LazyOptions {
 }
 
 /// `MODEL.outcrop`, with the model's own extension kept: `a.obj` and `a.ply` are two models.
-fn beside(model: &Path) -> PathBuf {
+pub fn beside(model: &Path) -> PathBuf {
     let mut name = model.as_os_str().to_os_string();
     name.push(".");
     name.push(EXTENSION);

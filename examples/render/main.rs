@@ -28,6 +28,7 @@ use outcrop::octree::{LazyOctree, OctreeOptions, TreeQuality};
 use outcrop::render::{Outcome, RenderSettings, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
+use outcrop::texture::Textures;
 use outcrop::{BlockSource, MemoryBudget};
 use summary::Summary;
 
@@ -90,7 +91,8 @@ fn job(
     let image = render(options, source, budget, interrupt, &mut meter, summary)?;
     meter.finish();
     if let Origin::Lazy(model) = &compiled.origin {
-        let report = model.is_complete().then(|| model.finish(&mut |_| Control::Continue)).transpose()?;
+        let is_whole = model.is_complete() && !model.report().details_left_out;
+        let report = is_whole.then(|| model.finish(&mut |_| Control::Continue)).transpose()?;
         summary.lazy(&model.report(), report.map(|_| model.output()));
     }
     image.film.write(&options.output)?;
@@ -126,7 +128,7 @@ fn render(
 ) -> Result<RenderedImage, Box<dyn Error>> {
     let settings = settings(options);
     let threads = Threads::Count(options.threads as usize);
-    let scene = scene(options, source.model())?;
+    let scene = with_textures(scene(options, source.model())?, options, source.model(), budget)?;
     // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
     let set_aside = budget.reserve(picture_bytes, "the picture")?;
@@ -162,6 +164,23 @@ fn render(
         summary.accesses(path, &MissRatioCurve::of(&AccessTrace::open(path)?));
     }
     Ok(image)
+}
+
+/// The scene with the pictures that the model's materials name, if any; they are converted once, beside the compiled file.
+fn with_textures(
+    scene: Scene,
+    options: &Options,
+    model: &Model,
+    budget: &MemoryBudget,
+) -> Result<Scene, Box<dyn Error>> {
+    let Some(path) = options.model.as_ref().filter(|_| !Textures::named_by(&model.materials).is_empty())
+    else {
+        return Ok(scene);
+    };
+    let mut tiles = compiled::beside(path).into_os_string();
+    tiles.push(".tiles");
+    let folder = path.parent().unwrap_or(Path::new(""));
+    Ok(scene.with_textures(Textures::open(&model.materials, folder, Path::new(&tiles), budget)?))
 }
 
 fn create(path: &Path) -> Result<File, String> {

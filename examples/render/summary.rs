@@ -83,6 +83,11 @@ impl Summary {
                 pass.write.wall
             );
         }
+        if report.details_left_out {
+            println!(
+                "          normals, texture coordinates and images are left out: compile the model as a whole to see them"
+            );
+        }
         println!(
             "          {} of {} cut, {} now in {:.2} s; {} of {} triangles are in blocks",
             grouped(report.cells_cut.into()),

@@ -14,13 +14,13 @@ use crate::compile::{Control, Threads};
 use crate::error::RenderError;
 use crate::model::Model;
 use crate::octree::Tier;
+use crate::render::SceneTracer;
 use crate::render::probe::Probe;
 use crate::render::{
     AdaptiveSampling, Film, Outcome, Progress, RenderSettings, RenderedImage, Renderer, normal_quantile,
     resample, worker_count,
 };
 use crate::scene::Scene;
-use crate::trace::Tracer;
 use crate::units::{Bytes, TileId};
 
 /// Pixels that a probe looks at, at most one in [`PROBE_SHARE`].
@@ -108,10 +108,12 @@ pub fn bytes_needed(
     // While a further picture is made, the best so far is kept.
     let film = Film::bytes_needed(&most.grid(), true);
     let probe = Renderer::probe_bytes(scene, model, &most, PROBE_PIXELS)?;
+    // While one renderer is there for its probe, others come and go.
+    let details = Renderer::detail_bytes(scene, model, &most, worker_count(threads) as u32)?;
     // Ray trees of the check are not more than those of the picture.
     let pixels = settings.width as usize * settings.height as usize;
     let check = resample::bytes_needed(pixels) as u64;
-    Ok(Bytes(render.0 + film.0 + probe.0 + check + own_bytes(settings, options).0))
+    Ok(Bytes(render.0 + 2 * details.0 + film.0 + probe.0 + check + own_bytes(settings, options).0))
 }
 
 /// Tables and, for FLIP, planes of numbers.
@@ -325,7 +327,7 @@ impl Job<'_, '_> {
     /// The highest threshold that keeps the bound, by what the probe shows.
     fn choose_deviation(
         &mut self,
-        probe: &mut Probe<'_, Tracer<'_>>,
+        probe: &mut Probe<'_, SceneTracer<'_>>,
         metric: Metric,
         bound: f64,
     ) -> Result<f64, RenderError> {
@@ -468,13 +470,13 @@ impl Job<'_, '_> {
         }
     }
 
-    fn probe<'r>(&mut self, renderer: &'r Renderer<'_>) -> Result<Probe<'r, Tracer<'r>>, RenderError> {
+    fn probe<'r>(&mut self, renderer: &'r Renderer<'_>) -> Result<Probe<'r, SceneTracer<'r>>, RenderError> {
         let share = (self.pixels_total() / PROBE_SHARE).clamp(16, u64::from(PROBE_PIXELS)) as u32;
         let probe = renderer.probe(share, AdaptiveSampling::SAMPLES_MIN, &mut || ask(self.progress))?;
         probe.ok_or(RenderError::Cancelled)
     }
 
-    fn prediction<'c>(&self, probe: &'c Probe<'_, Tracer<'_>>) -> Prediction<'c> {
+    fn prediction<'c>(&self, probe: &'c Probe<'_, SceneTracer<'_>>) -> Prediction<'c> {
         Prediction {
             cells: &probe.cells,
             columns: probe.columns,
@@ -484,7 +486,7 @@ impl Job<'_, '_> {
         }
     }
 
-    fn count(&mut self, probe: &Probe<'_, Tracer<'_>>) {
+    fn count(&mut self, probe: &Probe<'_, SceneTracer<'_>>) {
         self.counters.effects.merge(&probe.effects());
         self.counters.trace.merge(&probe.queries());
     }

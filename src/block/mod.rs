@@ -4,9 +4,12 @@
 //! indices as distances below the highest index so far, ids as differences, materials as runs) and then compressed
 //! with the block's [`Codec`]. `docs/format.md` gives every byte. Encoding is lossless, also for -0.0 and denormals.
 //!
+//! Attributes of triangle corners stand beside the blocks, in pages of their own: [`attributes`].
+//!
 //! Decoding goes into preallocated memory, checks the checksum before it decompresses, every count before it is used,
 //! and every index and id as it is made.
 
+pub mod attributes;
 mod check;
 mod codec;
 mod data;

@@ -66,6 +66,9 @@ pub fn model_key(model: &Model) -> u64 {
         bytes.extend_from_slice(&block.checksum.to_le_bytes());
         bytes.extend_from_slice(&block.offset.to_le_bytes());
     }
+    for page in model.attributes.entries() {
+        bytes.extend_from_slice(&page.checksum.to_le_bytes());
+    }
     // The shortest decimal numbers that read back as the same bits.
     bytes.extend_from_slice(format!("{:?} {:?}", model.precision, model.materials).as_bytes());
     checksum(&bytes)

@@ -485,6 +485,19 @@ impl BlockSource for RemoteSource {
         &self.model
     }
 
+    /// Readers serve blocks; attributes come from the node's own disk, if it has the file.
+    fn gives_attributes(&self) -> bool {
+        self.fallback.as_ref().is_some_and(|fallback| fallback.gives_attributes())
+    }
+
+    fn read_attributes(&self, page: u32, into: &mut Vec<u8>) -> Result<(), SourceError> {
+        into.clear();
+        match &self.fallback {
+            Some(fallback) => fallback.read_attributes(page, into),
+            None => Err(SourceError::NoAttributes { page, name: NAME.to_owned() }),
+        }
+    }
+
     fn read_block(&self, block: BlockId, into: &mut Vec<u8>) -> Result<(), SourceError> {
         into.clear();
         if self.model.entry(block).is_none() {

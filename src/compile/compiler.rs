@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::attributes::{Attributes, WrittenAttributes};
 use super::blocks::{BlockMaker, BlockSettings};
 use super::bucket::Bucket;
 use super::clock::{Meter, Moment};
@@ -27,7 +28,7 @@ use crate::block::BlockLimits;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::CompileError;
 use crate::geom::{Lattice, Precision};
-use crate::import::{MeshSink, VertexBatch};
+use crate::import::{CornerIndices, MeshSink, VertexBatch};
 use crate::model::{MaterialRecord, SourceRecord};
 use crate::units::{Bytes, MaterialId};
 
@@ -88,6 +89,7 @@ pub struct Compiler<'p> {
     grid_memory: Option<Reservation>,
     /// About how many triangles go into a bucket.
     bucket_triangles: u64,
+    attributes: Attributes,
 }
 
 /// The buckets of a mesh that is complete, and what is known by then.
@@ -118,6 +120,8 @@ pub(super) struct Remains {
     pub(super) source: SourceRecord,
     pub(super) materials: Vec<MaterialRecord>,
     pub(super) seconds: PhaseSeconds,
+    /// Whether attributes of triangles were left out.
+    pub(super) attributes_left_out: bool,
 }
 
 /// The time of an attempt that came to nothing.
@@ -219,6 +223,7 @@ impl<'p> Compiler<'p> {
             scatter: Meter::default(),
             grid_memory: Some(grid_memory),
             bucket_triangles: BUCKET_TRIANGLES,
+            attributes: if options.attributes { Attributes::Kept(None) } else { Attributes::Unwanted },
             options,
         })
     }
@@ -226,6 +231,13 @@ impl<'p> Compiler<'p> {
     /// Records what the mesh is read from, so that a change can be noticed later.
     pub fn set_source(&mut self, source: SourceRecord) {
         self.source = source;
+    }
+
+    /// Leaves attributes out and notes whether there are any, unless they are not wanted anyway.
+    pub(super) fn leave_attributes_out(&mut self) {
+        if self.options.attributes {
+            self.attributes = Attributes::LeftOut(false);
+        }
     }
 
     /// About how many triangles shall go into a bucket.
@@ -513,6 +525,7 @@ impl<'p> Compiler<'p> {
         let mut total = Meter::default();
         total.add_since(self.start);
         Remains {
+            attributes_left_out: matches!(self.attributes, Attributes::LeftOut(true)),
             budget: self.budget,
             quota: self.place.quota,
             options: self.options,
@@ -573,6 +586,11 @@ impl<'p> Compiler<'p> {
         let skipped = scattered.skipped;
         drop(scattered);
         self.ask(Phase::Seal, None)?;
+        let mut attributes = WrittenAttributes::default();
+        if let Attributes::Kept(Some(store)) = std::mem::replace(&mut self.attributes, Attributes::Unwanted) {
+            spill_bytes += store.spill_bytes();
+            attributes = store.write(settings.codec, &mut output, &self.budget)?;
+        }
         let written = output.seal(&self.materials, self.source)?;
         write.add_since(start);
         let mut total = Meter::default();
@@ -600,6 +618,8 @@ impl<'p> Compiler<'p> {
             degenerate: written.degenerate,
             duplicates: written.duplicates,
             skipped,
+            triangles_with_attributes: attributes.triangles,
+            attribute_bytes: attributes.bytes,
             precision: decision.precision,
             error_bound,
             tolerance_met: decision.tolerance_met,
@@ -700,6 +720,35 @@ impl MeshSink for Compiler<'_> {
             self.ask(Phase::Read, self.fraction)?;
         }
         Ok(())
+    }
+
+    fn takes_attributes(&self) -> bool {
+        !matches!(self.attributes, Attributes::Unwanted)
+    }
+
+    fn texture_coordinates(&mut self, batch: &[[f32; 2]]) -> Result<(), CompileError> {
+        self.timed(|compiler| compiler.attributes.uvs(batch, &compiler.place))
+    }
+
+    fn normals(&mut self, batch: &[[f32; 3]]) -> Result<(), CompileError> {
+        self.timed(|compiler| compiler.attributes.normals(batch, &compiler.place))
+    }
+
+    fn triangles_with_attributes(
+        &mut self,
+        triangles: &[[u32; 3]],
+        corners: CornerIndices<'_>,
+        material: MaterialId,
+    ) -> Result<(), CompileError> {
+        for list in [corners.uvs, corners.normals].into_iter().flatten() {
+            if list.len() != triangles.len() {
+                let reason = "triangles came with a list of attributes of another length".into();
+                return Err(CompileError::Limit { reason });
+            }
+        }
+        let (first_id, count) = (self.triangles, triangles.len());
+        self.triangles(triangles, material)?;
+        self.timed(|compiler| compiler.attributes.triangles(first_id, count, corners, &compiler.place))
     }
 
     fn progress(&mut self, consumed_bytes: u64, total_bytes: Option<u64>) -> Result<(), CompileError> {

@@ -7,9 +7,13 @@
 //! 4. Blocks are written one after the other under a temporary name; directory, materials and, last, the header
 //!    seal the file, which then gets its name.
 //!
+//! Attributes of triangle corners go their own way, to pages by triangle id between the blocks and their directory; a model without any
+//! compiles to the same file as if there were no such thing.
+//!
 //! The result is a function of the mesh and the options alone: not of threads, and for the image (I2) not of the
 //! budget. Each triangle is in exactly one block (I4).
 
+mod attributes;
 mod blocks;
 mod bucket;
 mod chunk;

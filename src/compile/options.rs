@@ -21,6 +21,8 @@ pub struct CompileOptions {
     pub threads: Threads,
     /// Leave triangles with a NaN or infinite coordinate out (and count them) instead of failing.
     pub skip_not_finite: bool,
+    /// Keep texture coordinates and normals if the model has them. A lazy compile leaves them out ([`LazyReport::details_left_out`](super::LazyReport::details_left_out)).
+    pub attributes: bool,
     /// Where temporary data goes that does not fit the budget; `None` for the output's own directory.
     pub spill_dir: Option<PathBuf>,
     /// Most bytes of disk that spill and output may take together; `None` for no limit. Beyond it the compile
@@ -36,6 +38,7 @@ impl Default for CompileOptions {
             precision: PrecisionChoice::Auto,
             threads: Threads::One,
             skip_not_finite: false,
+            attributes: true,
             spill_dir: None,
             disk_limit: None,
         }
@@ -159,6 +162,10 @@ pub struct CompileReport {
     pub duplicates: u64,
     /// Triangles left out because a coordinate was not finite.
     pub skipped: u64,
+    /// Triangles with texture coordinates or normals.
+    pub triangles_with_attributes: u64,
+    /// What these take in the compiled file, without their directory.
+    pub attribute_bytes: u64,
     /// How positions are held.
     pub precision: Precision,
     /// Largest distance between a vertex of the source and the stored one, per axis; 0 if nothing was rounded. A number in text counts

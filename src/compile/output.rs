@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use super::blocks::EncodedBucket;
 use super::temporary::{DiskQuota, TemporaryFile, write_at};
 use crate::block::BlockLimits;
+use crate::block::attributes::PageCheck;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::CompileError;
 use crate::geom::Precision;
@@ -127,6 +128,25 @@ impl Output {
             }
             self.buffer.extend_from_slice(stored);
         }
+        Ok(())
+    }
+
+    /// Reserves memory for the directory of `count` pages of attributes.
+    pub(super) fn reserve_pages(&mut self, count: u64) -> Result<(), CompileError> {
+        // As entries, and as bytes at the end.
+        let bytes = count * 2 * ModelWriter::BYTES_PER_PAGE;
+        self.memory.push(self.budget.reserve(Bytes(bytes), "the directory of attributes")?);
+        self.writer.reserve_pages(usize::try_from(count).unwrap_or(usize::MAX));
+        Ok(())
+    }
+
+    /// Appends a page of attributes; all blocks must have come.
+    pub(super) fn write_page(&mut self, stored: &[u8], check: Option<PageCheck>) -> Result<(), CompileError> {
+        self.writer.push_page(stored, check)?;
+        if self.buffer.len() + stored.len() > BUFFER_BYTES {
+            self.flush()?;
+        }
+        self.buffer.extend_from_slice(stored);
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! A mesh in memory.
 
-use super::sink::{MeshSink, VertexBatch};
+use super::sink::{CornerIndices, MeshSink, NO_INDEX, VertexBatch};
 use crate::error::CompileError;
 use crate::model::MaterialRecord;
 use crate::units::MaterialId;
@@ -22,6 +22,16 @@ pub struct MeshBuffer {
     pub float32_count: usize,
     /// How many of them came as text whose digits f32 keeps.
     pub float32_text_count: usize,
+    /// Whether attributes are kept, too; false unless the caller sets it.
+    pub keep_attributes: bool,
+    /// Every texture coordinate.
+    pub uvs: Vec<[f32; 2]>,
+    /// Every normal.
+    pub normals: Vec<[f32; 3]>,
+    /// For each triangle the texture coordinates of its corners; empty if no triangle has any.
+    pub triangle_uvs: Vec<[u32; 3]>,
+    /// For each triangle the normals of its corners; empty if no triangle has any.
+    pub triangle_normals: Vec<[u32; 3]>,
 }
 
 impl MeshBuffer {
@@ -84,6 +94,43 @@ impl MeshSink for MeshBuffer {
         }
         self.triangles.extend_from_slice(triangles);
         self.triangle_materials.resize(self.triangles.len(), material);
+        for list in [&mut self.triangle_uvs, &mut self.triangle_normals] {
+            if !list.is_empty() {
+                list.resize(self.triangles.len(), [NO_INDEX; 3]);
+            }
+        }
+        Ok(())
+    }
+
+    fn takes_attributes(&self) -> bool {
+        self.keep_attributes
+    }
+
+    fn texture_coordinates(&mut self, batch: &[[f32; 2]]) -> Result<(), CompileError> {
+        self.uvs.extend_from_slice(batch);
+        Ok(())
+    }
+
+    fn normals(&mut self, batch: &[[f32; 3]]) -> Result<(), CompileError> {
+        self.normals.extend_from_slice(batch);
+        Ok(())
+    }
+
+    fn triangles_with_attributes(
+        &mut self,
+        triangles: &[[u32; 3]],
+        corners: CornerIndices<'_>,
+        material: MaterialId,
+    ) -> Result<(), CompileError> {
+        let first = self.triangles.len();
+        self.triangles(triangles, material)?;
+        let lists = [(&mut self.triangle_uvs, corners.uvs), (&mut self.triangle_normals, corners.normals)];
+        for (list, corners) in lists {
+            if let Some(corners) = corners {
+                list.resize(first, [NO_INDEX; 3]);
+                list.extend_from_slice(corners);
+            }
+        }
         Ok(())
     }
 }

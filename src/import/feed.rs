@@ -1,5 +1,6 @@
 //! Collects vertices and triangles into batches and sends them on in an order that the sink accepts.
 
+use super::attributes::{AttributeFeed, Reference};
 use super::polygon::{Cut, Cutter};
 use super::report::ImportReport;
 use super::sink::{MeshSink, VertexBatch};
@@ -34,7 +35,10 @@ pub(super) struct Feed<'a> {
     /// For cutting polygons: distinct neighbouring corners, their positions, and the rest.
     ring: Vec<u32>,
     positions: Vec<[f64; 3]>,
+    /// Which corners of the face each of `ring` is.
+    places: Vec<u32>,
     cutter: Cutter,
+    attributes: AttributeFeed,
     /// What is reported in the end.
     pub(super) report: ImportReport,
 }
@@ -47,8 +51,11 @@ fn sink_error(error: crate::error::CompileError) -> ImportError {
 impl<'a> Feed<'a> {
     /// An empty feed in front of `sink`, with all its buffers.
     pub(super) fn new(sink: &'a mut dyn MeshSink) -> Feed<'a> {
+        let attributes = AttributeFeed::new(sink.takes_attributes());
         Feed {
             sink,
+            attributes,
+            places: Vec::new(),
             singles: Vec::new(),
             doubles: Vec::new(),
             digits_kept: true,
@@ -181,37 +188,101 @@ impl<'a> Feed<'a> {
         Ok(())
     }
 
+    /// Whether the sink takes attributes.
+    pub(super) fn takes_attributes(&self) -> bool {
+        self.attributes.is_wanted
+    }
+
+    /// The attributes that came so far: texture coordinates, normals.
+    pub(super) fn attribute_counts(&self) -> [u64; 2] {
+        [self.attributes.uv_count, self.attributes.normal_count]
+    }
+
+    /// How many attributes the corners so far need: more than come if a file names some that it does not have.
+    pub(super) fn attributes_named(&self) -> [u64; 2] {
+        self.attributes.named
+    }
+
+    /// From now on corners have the attributes of their vertices: vertex `i` those numbered `i`.
+    pub(super) fn name_attributes_by_vertex(&mut self, uvs: bool, normals: bool) {
+        self.attributes.name_by_vertex(uvs, normals);
+    }
+
+    /// Appends a texture coordinate.
+    pub(super) fn uv(&mut self, uv: [f32; 2]) -> Result<(), ImportError> {
+        self.attributes.uv(uv, self.sink).map_err(sink_error)
+    }
+
+    /// Appends a normal.
+    pub(super) fn normal(&mut self, normal: [f32; 3]) -> Result<(), ImportError> {
+        self.attributes.normal(normal, self.sink).map_err(sink_error)
+    }
+
+    /// [`Feed::triangle`] with the attributes of its corners.
+    #[inline]
+    pub(super) fn triangle_with(
+        &mut self,
+        triangle: [u32; 3],
+        references: [Reference; 3],
+    ) -> Result<(), ImportError> {
+        self.triangle(triangle)?;
+        self.attributes.triangle(self.triangles.len() - 1, references);
+        Ok(())
+    }
+
     /// Appends a face of any number of corners up to `CORNERS_MAX`, cut into triangles. Its vertices have come
     /// already.
     pub(super) fn face(&mut self, corners: &[u32]) -> Result<(), ImportError> {
+        self.face_with(corners, &[])
+    }
+
+    /// [`Feed::face`] with the attributes of its corners, or none.
+    pub(super) fn face_with(&mut self, corners: &[u32], references: &[Reference]) -> Result<(), ImportError> {
         if let [a, b, c] = *corners {
-            return self.triangle([a, b, c]);
+            return match *references {
+                [d, e, f] => self.triangle_with([a, b, c], [d, e, f]),
+                _ => self.triangle([a, b, c]),
+            };
         }
         // Cutting needs a ring without repeated neighbours.
         let mut ring = std::mem::take(&mut self.ring);
+        let mut places = std::mem::take(&mut self.places);
         ring.clear();
-        for corner in corners {
+        places.clear();
+        for (corner, place) in corners.iter().zip(0..) {
             if ring.last() != Some(corner) {
                 ring.push(*corner);
+                places.push(place);
             }
         }
         while ring.len() > 1 && ring.first() == ring.last() {
             ring.pop();
+            places.pop();
         }
+        // Nothing to say if there are no references.
+        let reference = |corner: usize| references.get(places[corner] as usize).copied();
         let result = match ring[..] {
             [] | [_] | [_, _] => {
                 self.report.degenerate_faces += 1;
                 Ok(())
             }
-            [a, b, c] => self.triangle([a, b, c]),
-            _ => self.polygon(&ring),
+            [a, b, c] => match [reference(0), reference(1), reference(2)] {
+                [Some(d), Some(e), Some(f)] => self.triangle_with([a, b, c], [d, e, f]),
+                _ => self.triangle([a, b, c]),
+            },
+            _ => self.polygon(&ring, &reference),
         };
         self.ring = ring;
+        self.places = places;
         result
     }
 
     /// Cuts a polygon and appends the triangles.
-    fn polygon(&mut self, ring: &[u32]) -> Result<(), ImportError> {
+    fn polygon(
+        &mut self,
+        ring: &[u32],
+        reference: &dyn Fn(usize) -> Option<Reference>,
+    ) -> Result<(), ImportError> {
         let mut positions = std::mem::take(&mut self.positions);
         positions.clear();
         for vertex in ring {
@@ -222,7 +293,11 @@ impl<'a> Feed<'a> {
         self.report.polygons += 1;
         self.report.fans += u64::from(cut == Cut::Fan);
         for triangle in triangles {
-            self.triangle(triangle.map(|corner| ring[corner as usize]))?;
+            let corners = triangle.map(|corner| ring[corner as usize]);
+            match triangle.map(|corner| reference(corner as usize)) {
+                [Some(a), Some(b), Some(c)] => self.triangle_with(corners, [a, b, c])?,
+                _ => self.triangle(corners)?,
+            }
         }
         self.positions = positions;
         self.cutter = cutter;
@@ -312,7 +387,13 @@ impl<'a> Feed<'a> {
                 material
             }
         };
-        self.sink.triangles(&self.triangles, material).map_err(sink_error)?;
+        let Feed { sink, attributes, triangles, .. } = self;
+        match attributes.corners(triangles) {
+            Some(corners) => sink.triangles_with_attributes(triangles, corners, material),
+            None => sink.triangles(triangles, material),
+        }
+        .map_err(sink_error)?;
+        self.attributes.clear_corners();
         self.report.triangles += self.triangles.len() as u64;
         self.triangles.clear();
         Ok(())
@@ -345,6 +426,8 @@ impl<'a> Feed<'a> {
     ) -> Result<ImportReport, ImportError> {
         self.send_vertices()?;
         self.send_triangles()?;
+        self.attributes.send_values(self.sink).map_err(sink_error)?;
+        [self.report.texture_coordinates, self.report.normals] = self.attribute_counts();
         self.sink.progress(consumed, total).map_err(sink_error)?;
         self.report.vertices = self.sent_vertices;
         Ok(self.report)

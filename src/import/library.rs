@@ -28,6 +28,8 @@ pub(super) struct Materials<'a> {
     model: &'a Path,
     /// Whether the caller named a library, which takes the place of those that the model names.
     replaced: bool,
+    /// Whether pictures of materials are wanted.
+    with_images: bool,
     ids: Vec<MaterialId>,
     by_name: HashMap<String, MaterialId>,
     name_bytes: usize,
@@ -40,8 +42,14 @@ impl<'a> Materials<'a> {
         options: &ImportOptions,
         feed: &mut Feed<'_>,
     ) -> Result<Materials<'a>, ImportError> {
-        let mut materials =
-            Materials { model, replaced: false, ids: Vec::new(), by_name: HashMap::new(), name_bytes: 0 };
+        let mut materials = Materials {
+            model,
+            replaced: false,
+            with_images: feed.takes_attributes(),
+            ids: Vec::new(),
+            by_name: HashMap::new(),
+            name_bytes: 0,
+        };
         if let Some(path) = &options.materials {
             materials.replaced = true;
             let records = materials.read(path, &mut feed.report);
@@ -92,7 +100,8 @@ impl<'a> Materials<'a> {
         report.material_files.push(path.to_path_buf());
         let mut records = Vec::new();
         let mut full = false;
-        mtl::read(path, report, &mut |record| {
+        let images = self.with_images.then(|| self.model.parent().unwrap_or(Path::new("")));
+        mtl::read(path, images, report, &mut |record| {
             self.name_bytes += record.name.len();
             full = self.ids.len() + records.len() == MATERIALS_MAX || self.name_bytes > NAME_BYTES_MAX;
             if !full {
@@ -180,7 +189,7 @@ pub(super) fn libraries<'t>(model: &Path, names: &'t [u8]) -> Vec<(&'t [u8], Opt
 
 /// Where a library of that name may be: beside the model, under the name as it is, with `\` for `/`, and with
 /// folders dropped (files move from machine to machine with absolute paths in them).
-fn candidates(model: &Path, name: &[u8]) -> Vec<PathBuf> {
+pub(super) fn candidates(model: &Path, name: &[u8]) -> Vec<PathBuf> {
     let folder = model.parent().unwrap_or(Path::new(""));
     let name = name.strip_prefix(b"\"").and_then(|name| name.strip_suffix(b"\"")).unwrap_or(name);
     let slashes: Vec<u8> = name.iter().map(|byte| if *byte == b'\\' { b'/' } else { *byte }).collect();

@@ -9,6 +9,7 @@
 //! [`TriangleSink`] takes triangles that never were a file. All send what they read to a [`MeshSink`]:
 //! the compiler, or a [`MeshBuffer`] in memory.
 
+mod attributes;
 mod buffer;
 mod decimal;
 mod feed;
@@ -35,6 +36,6 @@ pub use obj::read_obj;
 pub use ply::read_ply;
 pub use polygon::CORNERS_MAX;
 pub use report::{IgnoredCounts, ImportOptions, ImportReport, WARNINGS_MAX, Warning};
-pub use sink::{MeshSink, VertexBatch};
+pub use sink::{CornerIndices, MeshSink, NO_INDEX, VertexBatch};
 pub use stl::read_stl;
 pub use triangles::{Corners, TriangleSink, import_triangles};

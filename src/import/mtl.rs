@@ -8,9 +8,10 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
+use super::library::candidates;
 use super::report::ImportReport;
 use super::text::{shown, words};
-use crate::model::MaterialRecord;
+use crate::model::{ImageMap, MaterialImages, MaterialRecord};
 
 /// Longest line; longer ones are cut there.
 const LINE_BYTES_MAX: u64 = 64 << 10;
@@ -23,8 +24,11 @@ const WORD_BYTES_MAX: usize = 64;
 ///
 /// # Errors
 /// The file cannot be read. Materials may have been handed on before that.
+///
+/// `images` is the folder from which paths of images are to start, or `None` if images are not wanted.
 pub(super) fn read(
     path: &Path,
+    images: Option<&Path>,
     report: &mut ImportReport,
     add: &mut dyn FnMut(MaterialRecord) -> bool,
 ) -> io::Result<()> {
@@ -57,7 +61,13 @@ pub(super) fn read(
                     report.warn(path, Some(line), "a material without a name; it is left out");
                 }
             } else if is_texture(keyword) {
-                textures += 1;
+                match (images, block.image_place(keyword)) {
+                    (Some(folder), Some(place)) => match image_map(path, folder, rest) {
+                        Ok(map) => *place = Some(map),
+                        Err(reason) => report.warn(path, Some(line), reason),
+                    },
+                    _ => textures += 1,
+                }
             } else if let Some(reason) = block.statement(keyword, rest, line) {
                 report.warn(path, Some(line), reason);
             }
@@ -77,12 +87,62 @@ fn is_texture(keyword: &[u8]) -> bool {
     keyword.starts_with(b"map_") || matches!(keyword, b"bump" | b"disp" | b"decal" | b"refl" | b"norm")
 }
 
+/// The picture that a statement of the library at `path` names, with its options.
+fn image_map(path: &Path, folder: &Path, rest: &[u8]) -> Result<ImageMap, String> {
+    let mut map = ImageMap::new("");
+    let mut left = rest;
+    // Options come first; the name is all that follows, blanks included.
+    while let Some(option) = words(left).next().filter(|word| word.starts_with(b"-")) {
+        left = left[option.len()..].trim_ascii_start();
+        let mut take = |most: usize, is_number: bool| {
+            let mut taken = Vec::new();
+            while taken.len() < most
+                && let Some(word) = words(left).next()
+                && (!is_number || std::str::from_utf8(word).is_ok_and(|text| text.parse::<f32>().is_ok()))
+            {
+                taken.push(String::from_utf8_lossy(word).into_owned());
+                left = left[word.len()..].trim_ascii_start();
+            }
+            taken
+        };
+        let number = |text: Option<&String>, default: f32| {
+            text.and_then(|text| text.parse().ok()).filter(|x: &f32| x.is_finite()).unwrap_or(default)
+        };
+        match option {
+            b"-s" | b"-o" | b"-t" => {
+                let numbers = take(3, true);
+                let (place, default) = match option {
+                    b"-s" => (&mut map.scale, 1.0),
+                    b"-o" => (&mut map.offset, 0.0),
+                    // Turbulence is not used.
+                    _ => continue,
+                };
+                *place = [0, 1].map(|axis| number(numbers.get(axis), default));
+            }
+            b"-bm" => map.strength = number(take(1, true).first(), 1.0),
+            b"-clamp" => map.clamp = take(1, false).first().is_some_and(|word| word == "on"),
+            b"-mm" => _ = take(2, true),
+            _ => _ = take(1, false),
+        }
+    }
+    let name = left.trim_ascii();
+    if name.is_empty() {
+        return Err("a texture statement without an image; it is left out".to_owned());
+    }
+    let found = candidates(path, name).into_iter().find(|path| path.is_file());
+    let found = found.ok_or_else(|| format!("the image `{}` is not there; it is left out", shown(name)))?;
+    let relative = found.strip_prefix(folder).unwrap_or(&found);
+    map.path = relative.to_str().ok_or("the path of an image is not Unicode; it is left out")?.to_owned();
+    Ok(map)
+}
+
 /// The statements of one material, at most one of each kind (the last one counts).
 #[derive(Default)]
 struct Block {
     name: String,
     line: u64,
     statements: Vec<Statement>,
+    images: Option<Box<MaterialImages>>,
 }
 
 struct Statement {
@@ -94,7 +154,20 @@ struct Statement {
 
 impl Block {
     fn named(name: &[u8], line: u64) -> Block {
-        Block { name: String::from_utf8_lossy(name).into_owned(), line, statements: Vec::new() }
+        Block { name: String::from_utf8_lossy(name).into_owned(), line, ..Block::default() }
+    }
+
+    /// Where a picture goes; none if pictures of its kind are not used.
+    fn image_place(&mut self, keyword: &[u8]) -> Option<&mut Option<ImageMap>> {
+        let images = self.images.get_or_insert_default();
+        match keyword {
+            b"map_Kd" => Some(&mut images.diffuse),
+            b"map_Ks" => Some(&mut images.specular),
+            b"map_d" => Some(&mut images.opacity),
+            b"map_Bump" | b"map_bump" | b"bump" => Some(&mut images.bump),
+            b"norm" | b"map_norm" | b"map_Norm" => Some(&mut images.normal),
+            _ => None,
+        }
     }
 
     /// Adds a statement of a kind that is used; gives a reason if its shape is wrong.
@@ -147,7 +220,8 @@ impl Block {
             });
             parse(&self.statements)
         });
-        let (record, reasons) = record(self.name, material.unwrap_or_default());
+        let (mut record, reasons) = record(self.name, material.unwrap_or_default());
+        record.images = self.images.filter(|images| images.all().next().is_some());
         for reason in reasons {
             report.warn(path, Some(self.line), reason);
         }
@@ -208,6 +282,7 @@ fn record(name: String, material: tobj::Material) -> (MaterialRecord, Vec<String
         transmission,
         refractive_index,
         mirror,
+        images: None,
     };
     (record, reasons)
 }

@@ -54,7 +54,7 @@ impl std::fmt::Display for Warning {
     }
 }
 
-/// Parts of a file that a ray tracer of flat triangles has no use for, counted.
+/// Parts of a file that were left out, counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IgnoredCounts {
     /// Vertex normals (OBJ `vn`, PLY vertices with `nx`) and facet normals (STL).
@@ -83,6 +83,10 @@ pub struct ImportReport {
     pub fans: u64,
     /// Faces with fewer than three distinct neighbouring corners; they have no triangles.
     pub degenerate_faces: u64,
+    /// Texture coordinates sent to the sink, if it takes them; else they are among the `ignored`.
+    pub texture_coordinates: u64,
+    /// Normals sent to the sink, if it takes them.
+    pub normals: u64,
     /// Materials sent to the sink, the default one included if it was used.
     pub materials: u32,
     /// What was left out.

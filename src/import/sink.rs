@@ -17,6 +17,19 @@ pub enum VertexBatch<'a> {
     Float32Text(&'a [[f64; 3]]),
 }
 
+/// Stands for a corner without an attribute in [`CornerIndices`].
+pub const NO_INDEX: u32 = u32::MAX;
+
+/// Which attributes the corners of triangles have: for each triangle three indices into the texture coordinates and the normals of the
+/// mesh, counted from 0 in the order in which they come, or [`NO_INDEX`]. They may name attributes that are yet to come.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CornerIndices<'a> {
+    /// Of texture coordinates, if any triangle has them.
+    pub uvs: Option<&'a [[u32; 3]]>,
+    /// Of normals, if any triangle has them.
+    pub normals: Option<&'a [[u32; 3]]>,
+}
+
 /// Receives an indexed mesh as a stream. Vertices are numbered from 0 in the order in which they come; a face
 /// names vertices that have come already. Triangles get ids in the order in which they come. Batches may have
 /// any length; long ones (thousands) are faster.
@@ -50,6 +63,44 @@ pub trait MeshSink {
     /// # Errors
     /// A vertex that has not come yet ([`CompileError::Limit`]), or as for [`MeshSink::vertices`].
     fn triangles(&mut self, triangles: &[[u32; 3]], material: MaterialId) -> Result<(), CompileError>;
+
+    /// Whether the sink has a use for attributes: if not, readers need not send them. The four methods about attributes may be left
+    /// out by sinks that have none.
+    fn takes_attributes(&self) -> bool {
+        false
+    }
+
+    /// Appends texture coordinates: (0, 0) is the lower left corner of an image.
+    ///
+    /// # Errors
+    /// As for [`MeshSink::vertices`].
+    fn texture_coordinates(&mut self, batch: &[[f32; 2]]) -> Result<(), CompileError> {
+        let _ = batch;
+        Ok(())
+    }
+
+    /// Appends normals, of any length.
+    ///
+    /// # Errors
+    /// As for [`MeshSink::vertices`].
+    fn normals(&mut self, batch: &[[f32; 3]]) -> Result<(), CompileError> {
+        let _ = batch;
+        Ok(())
+    }
+
+    /// [`MeshSink::triangles`] with attributes; lists of `corners` are as long as `triangles`.
+    ///
+    /// # Errors
+    /// As for [`MeshSink::triangles`].
+    fn triangles_with_attributes(
+        &mut self,
+        triangles: &[[u32; 3]],
+        corners: CornerIndices<'_>,
+        material: MaterialId,
+    ) -> Result<(), CompileError> {
+        let _ = corners;
+        self.triangles(triangles, material)
+    }
 
     /// Tells how far the reader is (bytes of the source consumed, and its size if known) and asks whether to go on.
     ///

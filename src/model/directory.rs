@@ -205,6 +205,11 @@ impl DirectoryReader {
         Ok(())
     }
 
+    /// Where the last block ends.
+    pub fn end(&self) -> u64 {
+        self.next_offset
+    }
+
     /// Checks the sums over all entries against the header.
     pub fn finish(self, blocks_end: u64, triangle_count: u64) -> Result<(), &'static str> {
         if self.next_offset != blocks_end {

@@ -1,6 +1,7 @@
 //! The fixed header of a compiled file. `docs/format.md` has the same table.
 
 use super::SourceRecord;
+use super::attributes::PAGE_ENTRY_BYTES;
 use super::directory::{ENTRY_BYTES, Fields, is_sound, put_aabb};
 use crate::block::{BLOCK_HEADER_BYTES, BlockLimits, Codec, checksum};
 use crate::error::ModelError;
@@ -19,13 +20,23 @@ pub(super) const SIGNATURE: [u8; 12] = *b"\x89outcrop\r\n\x1a\n";
 /// Blocks of the file may be compressed with zstd.
 pub(super) const FEATURE_ZSTD: u64 = 1;
 
-const FEATURES_KNOWN: u64 = FEATURE_ZSTD;
+/// The file has pages of attributes.
+pub(super) const FEATURE_ATTRIBUTES: u64 = 2;
+
+/// Materials name images.
+pub(super) const FEATURE_IMAGES: u64 = 4;
+
+const FEATURES_KNOWN: u64 = FEATURE_ZSTD | FEATURE_ATTRIBUTES | FEATURE_IMAGES;
 
 /// Where the header's own checksum starts: its last eight bytes.
 const CHECKSUM_AT: usize = HEADER_BYTES - 8;
 
 /// Bytes in use before the reserved ones.
 const USED_BYTES: usize = 180;
+
+/// Bytes in use in a file with attributes, and in one with images.
+const USED_WITH_ATTRIBUTES: usize = 208;
+const USED_WITH_IMAGES: usize = 232;
 
 /// The header in memory.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +52,10 @@ pub(super) struct Header {
     pub directory: Section,
     pub materials: Section,
     pub source: SourceRecord,
+    /// The directory of the pages of attributes, and how many there are; none without [`FEATURE_ATTRIBUTES`].
+    pub attributes: Option<(Section, u32)>,
+    /// The table of the materials' images; none without [`FEATURE_IMAGES`].
+    pub images: Option<Section>,
 }
 
 /// A part of the file.
@@ -87,6 +102,18 @@ impl Header {
         out.extend_from_slice(&(BLOCK_HEADER_BYTES as u16).to_le_bytes());
         out.extend_from_slice(&(ENTRY_BYTES as u16).to_le_bytes());
         debug_assert_eq!(out.len(), USED_BYTES);
+        if let Some((section, page_count)) = self.attributes {
+            let fields = [section.offset, section.bytes, section.checksum];
+            out.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
+            out.extend_from_slice(&page_count.to_le_bytes());
+            debug_assert_eq!(out.len(), USED_WITH_ATTRIBUTES);
+        }
+        if let Some(section) = self.images {
+            out.resize(USED_WITH_ATTRIBUTES, 0);
+            let fields = [section.offset, section.bytes, section.checksum];
+            out.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
+            debug_assert_eq!(out.len(), USED_WITH_IMAGES);
+        }
         out.resize(CHECKSUM_AT, 0);
         out.extend_from_slice(&checksum(&out).to_le_bytes());
         let mut bytes = [0; HEADER_BYTES];
@@ -138,11 +165,20 @@ impl Header {
             SourceRecord { file_bytes: fields.u64(), modified_ns: fields.u64(), fingerprint: fields.u64() };
         let sizes = [usize::from(fields.u16()), usize::from(fields.u16())];
         require(sizes == [BLOCK_HEADER_BYTES, ENTRY_BYTES], 176, "it has entries of a wrong length")?;
-        require(
-            bytes[USED_BYTES..CHECKSUM_AT].iter().all(|byte| *byte == 0),
-            180,
-            "a reserved byte is not zero",
-        )?;
+        let has_attributes = features & FEATURE_ATTRIBUTES != 0;
+        let attributes = has_attributes.then(|| {
+            let section = Section { offset: fields.u64(), bytes: fields.u64(), checksum: fields.u64() };
+            (section, fields.u32())
+        });
+        let has_images = features & FEATURE_IMAGES != 0;
+        let mut fields = Fields(&bytes[USED_WITH_ATTRIBUTES..]);
+        let images =
+            has_images.then(|| Section { offset: fields.u64(), bytes: fields.u64(), checksum: fields.u64() });
+        let is_clear = |from: usize, to: usize| bytes[from..to].iter().all(|byte| *byte == 0);
+        let first = if has_attributes { USED_WITH_ATTRIBUTES } else { USED_BYTES };
+        let second = if has_images { USED_WITH_IMAGES } else { USED_WITH_ATTRIBUTES };
+        let are_clear = is_clear(first, USED_WITH_ATTRIBUTES) && is_clear(second, CHECKSUM_AT);
+        require(are_clear, first as u64, "a reserved byte is not zero")?;
 
         // Counts are refuted by the length of the file before anything is allocated by them (I5).
         require(block_count >= 1, 96, "it has no blocks")?;
@@ -166,7 +202,19 @@ impl Header {
             "the blocks do not fit before it",
         )?;
         require(directory.end() == Some(materials.offset), 128, "the materials do not follow the directory")?;
-        require(materials.end() == Some(file_bytes), 136, "the file has not the length that it should have")?;
+        let mut end = materials.end();
+        if let Some((section, page_count)) = attributes {
+            require(end == Some(section.offset), 180, "the pages' directory does not follow the materials")?;
+            let bytes = u64::from(page_count) * PAGE_ENTRY_BYTES as u64;
+            require(page_count >= 1 && section.bytes == bytes, 188, "there is not one entry for each page")?;
+            end = section.end();
+        }
+        if let Some(section) = images {
+            require(end == Some(section.offset), 208, "the images do not follow what is before them")?;
+            require(section.bytes >= 1, 216, "there are no images")?;
+            end = section.end();
+        }
+        require(end == Some(file_bytes), 136, "the file has not the length that it should have")?;
         Ok(Header {
             features,
             precision,
@@ -178,6 +226,8 @@ impl Header {
             directory,
             materials,
             source,
+            attributes,
+            images,
         })
     }
 }

@@ -1,5 +1,6 @@
 //! Materials as the compiled file holds them.
 
+use super::MaterialImages;
 use super::directory::Fields;
 use super::header::MATERIAL_BYTES_MIN;
 use crate::error::ModelError;
@@ -25,6 +26,8 @@ pub struct MaterialRecord {
     pub refractive_index: f32,
     /// Whether `specular` reflects the scene like a mirror (`illum` 3 and up).
     pub mirror: bool,
+    /// Pictures on the surface, if there are any.
+    pub images: Option<Box<MaterialImages>>,
 }
 
 impl Default for MaterialRecord {
@@ -40,6 +43,7 @@ impl Default for MaterialRecord {
             transmission: [1.0; 3],
             refractive_index: 1.0,
             mirror: false,
+            images: None,
         }
     }
 }
@@ -152,6 +156,7 @@ fn parse(bytes: &[u8]) -> Result<(MaterialRecord, &[u8]), &'static str> {
         transmission,
         refractive_index,
         mirror,
+        images: None,
     };
     if material.numbers().iter().any(|number| !number.is_finite()) {
         return Err("a number of a material is not finite");

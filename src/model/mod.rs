@@ -1,10 +1,13 @@
 //! The compiled file: header, block directory, materials, precision record. Bytes to structures and back; no I/O.
 //!
-//! `header | blocks | directory | materials`, without gaps. `docs/format.md` gives every byte.
+//! `header | blocks | directory | materials`, without gaps; in a file with attributes
+//! `header | blocks | pages | directory | materials | directory of the pages`. `docs/format.md` gives every byte.
 
+mod attributes;
 mod cells;
 mod directory;
 mod header;
+mod images;
 mod material;
 mod read;
 mod sub_boxes;
@@ -16,9 +19,11 @@ use crate::error::BlockError;
 use crate::geom::{Aabb, Precision};
 use crate::units::{BlockId, Bytes};
 
+pub use attributes::{AttributePages, PageEntry};
 pub use cells::{CellEntry, Cells};
 pub use directory::{BlockEntry, SUB_BOX_COUNT};
 pub use header::{FORMAT_VERSION, HEADER_BYTES};
+pub use images::{ImageMap, MaterialImages};
 pub use material::MaterialRecord;
 pub use read::ModelReader;
 pub use sub_boxes::SubBoxes;
@@ -50,15 +55,25 @@ pub struct Model {
     pub materials: Vec<MaterialRecord>,
     /// What the file was compiled from.
     pub source: SourceRecord,
+    /// Where the attributes of triangle corners are; empty if no triangle has any.
+    pub attributes: AttributePages,
 }
 
 impl Model {
     /// Memory that the model holds while it is open, for the memory budget (I1).
     pub fn resident_bytes(&self) -> Bytes {
-        let names: usize = self.materials.iter().map(|material| material.name.capacity()).sum();
+        let images = |material: &MaterialRecord| {
+            let images = material.images.as_deref();
+            images.map_or(0, |images| {
+                size_of::<MaterialImages>() + images.all().map(|(map, _)| map.path.capacity()).sum::<usize>()
+            })
+        };
+        let names: usize =
+            self.materials.iter().map(|material| material.name.capacity() + images(material)).sum();
         let blocks = self.blocks.capacity() * size_of::<BlockEntry>();
         let materials = self.materials.capacity() * size_of::<MaterialRecord>();
-        Bytes((size_of::<Model>() + blocks + materials + names) as u64 + self.cells.resident_bytes().0)
+        let own = (size_of::<Model>() + blocks + materials + names) as u64;
+        Bytes(own + self.cells.resident_bytes().0 + self.attributes.resident_bytes())
     }
 
     /// Blocks are numbered below this: how many there are, or, for a model that is compiled lazily, how many there can come to be.

@@ -1,5 +1,6 @@
 //! From the bytes of a file to a [`Model`]. The bytes are untrusted (I5).
 
+use super::attributes::{AttributePages, PAGE_ENTRY_BYTES};
 use super::directory::{DirectoryReader, ENTRY_BYTES, EntryContext};
 use super::header::{HEADER_BYTES, Header, Section};
 use super::material::parse_table;
@@ -62,8 +63,10 @@ impl ModelReader {
             return Err(damaged("directory", offset, "its checksum is wrong").into());
         }
         parsed?;
+        let blocks_end = directory.end();
+        let pages = read_pages(&header, blocks_end, &mut read)?;
         directory
-            .finish(offset, header.triangle_count)
+            .finish(if header.attributes.is_some() { blocks_end } else { offset }, header.triangle_count)
             .map_err(|reason| damaged("directory", offset, reason))?;
 
         let Section { offset, bytes: _, checksum } = header.materials;
@@ -72,6 +75,16 @@ impl ModelReader {
         if crate::block::checksum(&table) != checksum {
             return Err(damaged("material table", offset, "its checksum is wrong").into());
         }
+        let mut materials = parse_table(&table, header.material_count, offset)?;
+        if let Some(section) = header.images {
+            let Section { offset, bytes: _, checksum } = section;
+            let mut table = vec![0; section_bytes(section)?];
+            read("the table of images", offset, &mut table)?;
+            if crate::block::checksum(&table) != checksum {
+                return Err(damaged("table of images", offset, "its checksum is wrong").into());
+            }
+            super::images::parse_table(&table, offset, &mut materials)?;
+        }
         Ok(Model {
             precision: header.precision,
             limits: header.limits,
@@ -79,8 +92,9 @@ impl ModelReader {
             triangle_count: header.triangle_count,
             blocks,
             cells: Cells::default(),
-            materials: parse_table(&table, header.material_count, offset)?,
+            materials,
             source: header.source,
+            attributes: pages,
         })
     }
 
@@ -96,6 +110,39 @@ impl ModelReader {
             Ok(())
         })
     }
+}
+
+/// Reads the directory of the pages of attributes, if there is one. The pages lie between the blocks and their directory.
+fn read_pages<E: From<ModelError>>(
+    header: &Header,
+    blocks_end: u64,
+    read: &mut impl FnMut(&'static str, u64, &mut [u8]) -> Result<(), E>,
+) -> Result<AttributePages, E> {
+    let mut pages = AttributePages::default();
+    let Some((section, page_count)) = header.attributes else { return Ok(pages) };
+    let damaged =
+        |reason| ModelError::Damaged { part: "directory of attributes", offset: section.offset, reason };
+    let mut chunk = vec![0; (512 * PAGE_ENTRY_BYTES).min(section_bytes(section)?)];
+    // The length of the file allows for it: the parser of the header has compared the two.
+    pages.reserve(page_count as usize);
+    let mut hash = xxhash_rust::xxh3::Xxh3Default::new();
+    let (mut at, end) = (section.offset, section.offset + section.bytes);
+    let mut next = Ok(blocks_end);
+    while at < end {
+        let length = (end - at).min(chunk.len() as u64) as usize;
+        let piece = &mut chunk[..length];
+        read("the directory of attributes", at, piece)?;
+        hash.update(piece);
+        next = next.and_then(|next| pages.parse(piece, next));
+        at += length as u64;
+    }
+    if hash.digest() != section.checksum {
+        return Err(damaged("its checksum is wrong").into());
+    }
+    if next.map_err(damaged)? != header.directory.offset {
+        return Err(damaged("the pages do not end where the directory starts").into());
+    }
+    Ok(pages)
 }
 
 /// The length of a part, which the header's parser has compared with the length of the file.

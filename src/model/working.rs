@@ -46,6 +46,8 @@ pub(crate) struct WorkingHeader {
     pub codec: Codec,
     pub precision: Precision,
     pub tolerance_met: bool,
+    /// Whether the source has attributes or images, which the file does not hold.
+    pub details_left_out: bool,
     pub error_bound: f64,
     pub bounds: Aabb,
     pub triangle_count: u64,
@@ -96,7 +98,12 @@ impl WorkingHeader {
             Precision::Float32 => (0, 0),
             Precision::Lattice(lattice) => (1, lattice.exponent),
         };
-        out.extend_from_slice(&[self.codec.id(), kind, u8::from(self.tolerance_met), 0]);
+        out.extend_from_slice(&[
+            self.codec.id(),
+            kind,
+            u8::from(self.tolerance_met),
+            u8::from(self.details_left_out),
+        ]);
         out.extend_from_slice(&exponent.to_le_bytes());
         let SourceRecord { file_bytes, modified_ns, fingerprint } = self.made_for.source;
         let key = [file_bytes, modified_ns, fingerprint, self.made_for.options];
@@ -142,7 +149,7 @@ impl WorkingHeader {
         )?;
         let limits = BlockLimits { block_bytes_max: fields.u32() };
         limits.validate().map_err(|reason| damaged("header", 20, reason))?;
-        let [codec, kind, tolerance_met, _] = fields.take();
+        let [codec, kind, tolerance_met, details_left_out] = fields.take();
         let codec = Codec::from_id(codec).filter(|codec| codec.is_available());
         let codec = codec.ok_or(damaged("header", 24, "its codec is not in this build"))?;
         let precision = match (kind, fields.u32() as i32) {
@@ -178,6 +185,7 @@ impl WorkingHeader {
             codec,
             precision,
             tolerance_met: tolerance_met == 1,
+            details_left_out: details_left_out == 1,
             error_bound,
             bounds,
             triangle_count,
@@ -245,6 +253,7 @@ impl WorkingHeader {
             cells,
             materials: parse_table(material_bytes, self.material_count, self.materials.offset)?,
             source: self.made_for.source,
+            attributes: super::AttributePages::default(),
         };
         Ok((records, model))
     }

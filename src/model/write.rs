@@ -1,9 +1,11 @@
 //! From blocks to the bytes around them.
 
+use super::attributes::{AttributePages, PageEntry};
 use super::directory::{BlockEntry, ENTRY_BYTES, EntryContext, SUB_BOX_COUNT};
-use super::header::{FEATURE_ZSTD, HEADER_BYTES, Header, Section};
+use super::header::{FEATURE_ATTRIBUTES, FEATURE_IMAGES, FEATURE_ZSTD, HEADER_BYTES, Header, Section};
 use super::material::table_bytes;
 use super::{MaterialRecord, SourceRecord, SubBoxes};
+use crate::block::attributes::PageCheck;
 use crate::block::{BlockLimits, Codec, checksum};
 use crate::error::ModelError;
 use crate::geom::{Aabb, Precision};
@@ -28,7 +30,7 @@ pub struct NewBlock<'a> {
 
 /// Collects what the header and the directory say while blocks are written one after the other. No I/O: the caller
 /// leaves [`HEADER_BYTES`] free at the start of the file, writes the stored blocks after them in the order in which they
-/// were given to [`ModelWriter::push`], then the tail, and at last the header. Without its header the file does not open.
+/// were given to [`ModelWriter::push`], the pages of attributes if there are any ([`ModelWriter::push_page`]), then the tail, and at last the header. Without its header the file does not open.
 #[derive(Clone, Debug)]
 pub struct ModelWriter {
     precision: Precision,
@@ -38,6 +40,7 @@ pub struct ModelWriter {
     triangle_count: u64,
     end: u64,
     blocks: Vec<BlockEntry>,
+    pages: AttributePages,
 }
 
 /// The bytes that complete a compiled file.
@@ -45,7 +48,7 @@ pub struct ModelWriter {
 pub struct SealedModel {
     /// For the start of the file.
     pub header: [u8; HEADER_BYTES],
-    /// For the end of the file, right after the last block: directory and materials.
+    /// For the end of the file, right after the last block or page: directories and materials.
     pub tail: Vec<u8>,
     /// Where the tail goes.
     pub tail_offset: u64,
@@ -68,6 +71,7 @@ impl ModelWriter {
             triangle_count: 0,
             end: HEADER_BYTES as u64,
             blocks: Vec::new(),
+            pages: AttributePages::default(),
         })
     }
 
@@ -79,7 +83,7 @@ impl ModelWriter {
         self.blocks.reserve_exact(count);
     }
 
-    /// Where the next block goes in the file.
+    /// Where the next block, or page of attributes, goes in the file.
     pub fn next_offset(&self) -> u64 {
         self.end
     }
@@ -101,7 +105,40 @@ impl ModelWriter {
 
     /// Memory that the writer holds, for the memory budget (I1); [`ModelWriter::seal`] takes as much again.
     pub fn resident_bytes(&self) -> Bytes {
-        Bytes((self.blocks.capacity() * size_of::<BlockEntry>()) as u64)
+        Bytes((self.blocks.capacity() * size_of::<BlockEntry>()) as u64 + self.pages.resident_bytes())
+    }
+
+    /// Memory that a page takes in the writer.
+    pub const BYTES_PER_PAGE: u64 = size_of::<PageEntry>() as u64;
+
+    /// Makes room for `count` pages more, and not more.
+    pub fn reserve_pages(&mut self, count: usize) {
+        self.pages.reserve(count);
+    }
+
+    /// Takes note of the next page of attributes, which the caller writes at [`ModelWriter::next_offset`] (as it was before), or of
+    /// one without any. All blocks must have come; pages come in the order of their triangles.
+    ///
+    /// # Errors
+    /// [`ModelError::Limit`] if the page is not one of this library.
+    pub fn push_page(&mut self, stored: &[u8], check: Option<PageCheck>) -> Result<(), ModelError> {
+        let limit = |reason| ModelError::Limit { reason };
+        if self.pages.entries().len() >= u32::MAX as usize {
+            return Err(limit("a file holds at most 2^32 - 1 pages of attributes"));
+        }
+        let mut entry = PageEntry { offset: self.end, ..PageEntry::default() };
+        if let Some(PageCheck { checksum, uv_count, normal_count, .. }) = check {
+            let codec = stored.get(1).copied().and_then(Codec::from_id);
+            let codec = codec.ok_or(limit("a page was not encoded by this library"))?;
+            if codec == Codec::Zstd {
+                self.codecs |= FEATURE_ZSTD;
+            }
+            let stored_bytes = u32::try_from(stored.len()).map_err(|_| limit("a page is too long"))?;
+            entry = PageEntry { checksum, stored_bytes, uv_count, normal_count, ..entry };
+        }
+        self.end += u64::from(entry.stored_bytes);
+        self.pages.push(entry);
+        Ok(())
     }
 
     /// Takes note of the next block, which the caller writes at [`ModelWriter::next_offset`] (as it was before).
@@ -164,9 +201,37 @@ impl ModelWriter {
             bytes: (end - start) as u64,
             checksum: checksum(&tail[start..end]),
         };
+        let materials_end = tail.len();
+        let (directory, materials_section) =
+            (section(0, directory_bytes), section(directory_bytes, materials_end));
+        for entry in self.pages.entries() {
+            entry.put(&mut tail);
+        }
+        let pages = Section {
+            offset: self.end + materials_end as u64,
+            bytes: (tail.len() - materials_end) as u64,
+            checksum: checksum(&tail[materials_end..]),
+        };
+        // `push_page` keeps the count below 2^32.
+        let attributes = (!self.pages.is_empty()).then_some((pages, self.pages.entries().len() as u32));
+        let pages_end = tail.len();
+        tail.extend_from_slice(&super::images::table_bytes(materials)?);
+        let images = (tail.len() > pages_end).then(|| Section {
+            offset: self.end + pages_end as u64,
+            bytes: (tail.len() - pages_end) as u64,
+            checksum: checksum(&tail[pages_end..]),
+        });
+        let materials = materials_section;
         let file_bytes = self.end + tail.len() as u64;
+        let mut features = self.codecs;
+        if attributes.is_some() {
+            features |= FEATURE_ATTRIBUTES;
+        }
+        if images.is_some() {
+            features |= FEATURE_IMAGES;
+        }
         let header = Header {
-            features: self.codecs,
+            features,
             precision: self.precision,
             limits: self.limits,
             bounds: self.bounds,
@@ -174,9 +239,11 @@ impl ModelWriter {
             // `push` keeps the count below 2^32.
             block_count: self.blocks.len() as u32,
             material_count,
-            directory: section(0, directory_bytes),
-            materials: section(directory_bytes, tail.len()),
+            directory,
+            materials,
             source,
+            attributes,
+            images,
         };
         Ok(SealedModel { header: header.to_bytes(), tail_offset: self.end, file_bytes, tail })
     }

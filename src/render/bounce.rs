@@ -3,6 +3,7 @@
 
 use glam::DVec3;
 
+use super::detail::Cone;
 use super::media::MediumStack;
 use super::random::{SampleKey, VertexId};
 use crate::scene::{cosine_direction, to_frame};
@@ -22,6 +23,8 @@ pub(crate) struct Walk {
     /// Whether a diffuse bounce lies behind: from then on one ray goes on, not a tree.
     pub has_bounced: bool,
     pub media: MediumStack,
+    /// What of a picture it sees at once; kept in the *Detailed* loop only.
+    pub cone: Cone,
 }
 
 impl Walk {
@@ -35,6 +38,7 @@ impl Walk {
             normal: DVec3::ZERO,
             has_bounced: false,
             media: MediumStack::EMPTY,
+            cone: Cone::default(),
         }
     }
 

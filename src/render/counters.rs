@@ -1,5 +1,6 @@
 //! What the effects of a picture cost in rays.
 
+use super::detail::query::DetailCounters;
 use serde::{Deserialize, Serialize};
 
 /// Rays and samples by effect. Exact, and the same for any tile size, thread count and cache size.
@@ -43,6 +44,20 @@ pub struct EffectCounters {
     pub lens_rays: u64,
     /// Camera rays at a sampled time.
     pub shutter_rays: u64,
+    /// Hits whose triangle was asked for the attributes of its corners.
+    pub attribute_lookups: u64,
+    /// Hits that were shaded with an interpolated normal.
+    pub smooth_hits: u64,
+    /// Lookups in pictures of colours.
+    pub texture_reads: u64,
+    /// Hits of which it was asked whether the surface is cut out there.
+    pub cutout_tests: u64,
+    /// Those that rays passed because it is.
+    pub cutouts_passed: u64,
+    /// Queries that carried rays on behind what is cut out.
+    pub cutout_rays: u64,
+    /// Lookups in pictures of heights and normals.
+    pub bump_reads: u64,
     /// Random numbers drawn by effects; positions in pixels not counted.
     pub random_numbers: u64,
     /// Rays and lamps not followed because they could not add more than the contribution bound.
@@ -61,13 +76,31 @@ impl EffectCounters {
         }
     }
 
+    /// Adds what was looked up.
+    pub(super) fn add_details(&mut self, found: &DetailCounters) {
+        let DetailCounters {
+            attribute_lookups,
+            texture_reads,
+            cutout_tests,
+            cutouts_passed,
+            cutout_rays,
+            bump_reads,
+        } = found;
+        self.attribute_lookups += attribute_lookups;
+        self.texture_reads += texture_reads;
+        self.cutout_tests += cutout_tests;
+        self.cutouts_passed += cutouts_passed;
+        self.cutout_rays += cutout_rays;
+        self.bump_reads += bump_reads;
+    }
+
     /// Every counter with its name.
-    pub fn fields(&self) -> [(&'static str, u64); 23] {
+    pub fn fields(&self) -> [(&'static str, u64); 30] {
         let mut copy = *self;
         copy.fields_mut().map(|(name, count)| (name, *count))
     }
 
-    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 23] {
+    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 30] {
         // Taken apart, so that a new counter cannot be forgotten.
         let EffectCounters {
             samples,
@@ -89,6 +122,13 @@ impl EffectCounters {
             medium_overflows,
             lens_rays,
             shutter_rays,
+            attribute_lookups,
+            smooth_hits,
+            texture_reads,
+            cutout_tests,
+            cutouts_passed,
+            cutout_rays,
+            bump_reads,
             random_numbers,
             contribution_cuts,
             roulette_ends,
@@ -114,6 +154,13 @@ impl EffectCounters {
             ("medium_overflows", medium_overflows),
             ("lens_rays", lens_rays),
             ("shutter_rays", shutter_rays),
+            ("attribute_lookups", attribute_lookups),
+            ("smooth_hits", smooth_hits),
+            ("texture_reads", texture_reads),
+            ("cutout_tests", cutout_tests),
+            ("cutouts_passed", cutouts_passed),
+            ("cutout_rays", cutout_rays),
+            ("bump_reads", bump_reads),
             ("random_numbers", random_numbers),
             ("contribution_cuts", contribution_cuts),
             ("roulette_ends", roulette_ends),
@@ -132,6 +179,7 @@ impl EffectCounters {
             + self.frosted_rays
             + self.bounce_rays
             + self.medium_rays
+            + self.cutout_rays
             + self.forced_rays
     }
 }

@@ -9,6 +9,8 @@ pub(super) trait EffectsOfLoop {
     const SECONDARY: bool;
     /// Everything else: lights with extent, rough surfaces, interreflection, nested media, luck.
     const SAMPLED: bool;
+    /// What hits look like depends on attributes of their triangle's corners.
+    const DETAILED: bool = false;
 }
 
 /// Direct light and shadows on matt surfaces: a picture of bricks costs what a brick renderer costs.
@@ -33,4 +35,13 @@ pub(super) struct Sampled;
 impl EffectsOfLoop for Sampled {
     const SECONDARY: bool = true;
     const SAMPLED: bool = true;
+}
+
+/// Everything, on surfaces with attributes.
+pub(super) struct Detailed;
+
+impl EffectsOfLoop for Detailed {
+    const SECONDARY: bool = true;
+    const SAMPLED: bool = true;
+    const DETAILED: bool = true;
 }

@@ -26,6 +26,13 @@ pub(crate) struct Scatter {
     pub far_origin: [f64; 3],
     /// Refractive index on the near side over that on the far side; none if the surface does not refract.
     pub eta: Option<f64>,
+    /// Which of the terms that hold at one place only; [`Scatter::OF_MATERIAL`] if they are those of the material.
+    pub detail: u32,
+}
+
+impl Scatter {
+    /// See [`Scatter::detail`].
+    pub const OF_MATERIAL: u32 = u32::MAX;
 }
 
 /// Lobes of a surface.
@@ -180,7 +187,8 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         lobes: Lobes,
     ) -> DVec3 {
         let stage = self.stage;
-        let shader = stage.shader(point.material);
+        let local = self.details.get(scatter.detail as usize);
+        let shader = local.unwrap_or_else(|| stage.shader(point.material));
         let cosine = toward.dot(point.normal);
         let against = |own: f64| light_density.map_or(1.0, |light| share(light, own));
         let is_rough = shader.alpha > 0.0 && lobes != Lobes::Lamp;

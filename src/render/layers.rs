@@ -3,15 +3,21 @@
 
 use std::path::Path;
 
+use glam::DVec3;
+
+use super::counters::EffectCounters;
+use super::detail::query::SurfaceQuery;
+use super::detail::{Cone, Detail, Seen};
 use super::film::Film;
 use super::image;
 use super::progress::Progress;
 use super::query::RayQuery;
-use super::stage::Stage;
+use super::stage::{Loop, Stage};
 use crate::budget::{MemoryBudget, Reservation};
 use crate::compile::Control;
-use crate::error::RenderError;
+use crate::error::{RenderError, TraceError};
 use crate::geom::Ray;
+use crate::trace::Hit;
 use crate::units::{Bytes, MaterialId, TriangleId};
 
 /// What the ray through the middle of a pixel meets first.
@@ -25,7 +31,7 @@ pub struct LayerPixel {
     pub triangle: TriangleId,
     /// Its material.
     pub material: MaterialId,
-    /// Diffuse and mirror reflectance together, at most 1: what a denoiser divides by.
+    /// Diffuse and mirror reflectance together, pictures on the surface included, at most 1: what a denoiser divides by.
     pub albedo: [f32; 3],
 }
 
@@ -58,7 +64,7 @@ impl Layers {
 
     /// Writes `film` and these layers as one OpenEXR file (feature `exr`): channels `R G B`, `Z` (infinite where nothing is hit),
     /// `N.X N.Y N.Z`, `albedo.R albedo.G albedo.B`, and as 32-bit integers `triangle.low`, `triangle.high` and `material`, each
-    /// with all bits set where nothing is hit. The file appears under its name only when it is whole.
+    /// with all bits set where nothing is hit. A film with [`PixelStatistics`](super::PixelStatistics) adds `samples`, as 32-bit integers, and `deviation`. The file appears under its name only when it is whole.
     ///
     /// # Errors
     /// [`RenderError::Setting`] if the film has another size, or `path` does not end in `.exr`, or the build lacks the
@@ -81,7 +87,7 @@ impl Layers {
     pub(super) fn bytes_needed(stage: &Stage) -> Bytes {
         let count = u64::from(stage.grid.width) * u64::from(stage.grid.height);
         /// Channels of 32 bits that a file is written from.
-        const WRITTEN_BYTES: u64 = 13 * 4;
+        const WRITTEN_BYTES: u64 = 15 * 4;
         Bytes(count * (size_of::<Option<LayerPixel>>() as u64 + WRITTEN_BYTES))
     }
 }
@@ -90,12 +96,13 @@ impl Layers {
 pub(super) fn layers(
     stage: &Stage,
     budget: &MemoryBudget,
-    query: &mut impl RayQuery,
+    query: impl RayQuery,
     progress: &mut dyn FnMut(Progress) -> Control,
 ) -> Result<Layers, RenderError> {
+    let mut query = SurfaceQuery::new(stage, query);
     let (width, height) = (stage.grid.width, stage.grid.height);
     let reservation = budget.reserve(Layers::bytes_needed(stage), "the layers")?;
-    let row_bytes = u64::from(width) * (size_of::<Ray>() + size_of::<Option<crate::trace::Hit>>()) as u64;
+    let row_bytes = u64::from(width) * (size_of::<Ray>() + size_of::<Option<Hit>>()) as u64;
     let _row = budget.reserve(Bytes(row_bytes), "a row of the layers")?;
     let mut pixels = Vec::with_capacity(width as usize * height as usize);
     let mut rays = Vec::with_capacity(width as usize);
@@ -104,21 +111,12 @@ pub(super) fn layers(
         rays.clear();
         rays.extend((0..width).map(|x| stage.view.ray(f64::from(x) + 0.5, f64::from(y) + 0.5)));
         query.closest_hits(&rays, &mut hits)?;
-        pixels.extend(rays.iter().zip(&hits).map(|(ray, hit)| {
-            hit.map(|hit| {
-                let normal = glam::DVec3::from_array(hit.normal()).normalize_or_zero();
-                let side = if normal.dot(glam::DVec3::from_array(ray.direction)) > 0.0 { -1.0 } else { 1.0 };
-                let shader = stage.shader(hit.material);
-                let albedo = (shader.diffuse + shader.mirror).min(glam::DVec3::ONE);
-                LayerPixel {
-                    depth: hit.t as f32,
-                    normal: (normal * side).to_array().map(|x| x as f32),
-                    triangle: hit.triangle,
-                    material: hit.material,
-                    albedo: albedo.to_array().map(|x| x as f32),
-                }
-            })
-        }));
+        for (ray, hit) in rays.iter().zip(&hits) {
+            pixels.push(match hit {
+                Some(hit) => Some(layer_pixel(stage, &mut query, ray, hit)?),
+                None => None,
+            });
+        }
         let state = Progress {
             samples: u64::from(y + 1) * u64::from(width),
             samples_total: u64::from(height) * u64::from(width),
@@ -130,4 +128,35 @@ pub(super) fn layers(
         }
     }
     Ok(Layers { width, height, pixels, _reservation: reservation })
+}
+
+/// What is at a hit.
+fn layer_pixel<Q: RayQuery>(
+    stage: &Stage,
+    query: &mut SurfaceQuery<'_, Q>,
+    ray: &Ray,
+    hit: &Hit,
+) -> Result<LayerPixel, TraceError> {
+    let direction = DVec3::from_array(ray.direction);
+    let normal = DVec3::from_array(hit.normal()).normalize_or_zero();
+    let is_behind = normal.dot(direction) > 0.0;
+    let normal = normal * if is_behind { -1.0 } else { 1.0 };
+    let shader = stage.shader(hit.material);
+    let mut albedo = shader.diffuse + shader.mirror;
+    if stage.path_loop == Loop::Detailed {
+        let [width, spread] = stage.view.footprint();
+        let width = Cone { width, spread }.width_at(hit.t);
+        let seen = Seen { geometric: normal, is_behind, view: -direction, width };
+        let mut counters = EffectCounters::default();
+        if let Some(local) = Detail::at(stage, query, &mut counters, hit, shader, &seen)?.shader {
+            albedo = local.diffuse + local.mirror;
+        }
+    }
+    Ok(LayerPixel {
+        depth: hit.t as f32,
+        normal: normal.to_array().map(|x| x as f32),
+        triangle: hit.triangle,
+        material: hit.material,
+        albedo: albedo.min(DVec3::ONE).to_array().map(|x| x as f32),
+    })
 }

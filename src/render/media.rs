@@ -7,7 +7,7 @@
 
 use super::counters::EffectCounters;
 use super::query::RayQuery;
-use super::stage::Stage;
+use super::stage::{Shader, Stage};
 use crate::error::TraceError;
 use crate::geom::{Ray, RayFrame, Sense};
 use crate::trace::Hit;
@@ -235,5 +235,23 @@ impl Cluster {
         if !self.is_opaque && self.best.as_ref().is_none_or(is_stronger) {
             self.best = Some(*hit);
         }
+    }
+}
+/// The refractive index on the ray's side over that on the other; none if light goes straight on.
+pub(super) fn index_ratio(
+    stage: &Stage,
+    shader: &Shader,
+    border: Option<&Border>,
+    is_behind: bool,
+) -> Option<f64> {
+    let index = shader.refractive_index;
+    match border {
+        Some(border) if border.is_medium => {
+            let index = |medium: Option<MaterialId>| medium.map_or(1.0, |m| stage.shader(m).refractive_index);
+            let (before, after) = (index(border.before), index(border.after));
+            (before != after).then(|| before / after)
+        }
+        _ if shader.transmission > 0.0 && index != 1.0 => Some(if is_behind { index } else { 1.0 / index }),
+        _ => None,
     }
 }

@@ -18,7 +18,7 @@ impl Sizes {
     pub fn of(stage: &Stage) -> Sizes {
         let batch = stage.settings.batch_samples.min(tile_samples_max(stage)) as usize;
         let lamps = stage.emitters.len().clamp(1, 4);
-        let is_sampled = stage.path_loop == Loop::Sampled;
+        let is_sampled = matches!(stage.path_loop, Loop::Sampled | Loop::Detailed);
         let has_shadows = stage.shadows || stage.force_shadows || stage.samples_lights();
         let halvings = stage.settings.work_budget.ilog2() as usize + 1;
         Sizes {

@@ -11,10 +11,13 @@ use glam::DVec3;
 
 use super::bounce::{Walk, bounce};
 use super::counters::EffectCounters;
+use super::detail::normals::on_side;
+use super::detail::query::SurfaceQuery;
+use super::detail::{Cone, Detail, Seen};
 use super::glossy;
-use super::hot::{EffectsOfLoop, Matt, Sampled, Whitted};
-use super::lamps::{Lobes, Scatter, highlight};
-use super::media::{Border, Borders};
+use super::hot::{Detailed, EffectsOfLoop, Matt, Sampled, Whitted};
+use super::lamps::Scatter;
+use super::media::{Borders, index_ratio};
 use super::optics::{absorb, reflect, split};
 use super::path_sizes::Sizes;
 use super::query::RayQuery;
@@ -93,7 +96,7 @@ pub(crate) struct PathTracer<'s, Q> {
     pub(super) stage: &'s Stage,
     /// Most rays of one call.
     pub batch_samples: usize,
-    pub query: Q,
+    pub query: SurfaceQuery<'s, Q>,
     pub counters: EffectCounters,
     pub seconds: WorkerSeconds,
     heads: Vec<Head>,
@@ -117,6 +120,8 @@ pub(crate) struct PathTracer<'s, Q> {
     next_walks: Vec<Walk>,
     pub(super) scatters: Vec<Scatter>,
     waiting_walks: Vec<Option<Walk>>,
+    /// Terms of points where they are not those of the material.
+    pub(super) details: Vec<Shader>,
     /// Of nested media.
     borders: Borders,
 }
@@ -127,7 +132,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         PathTracer {
             stage,
             batch_samples: sizes.batch,
-            query,
+            query: SurfaceQuery::new(stage, query),
             counters: EffectCounters::default(),
             seconds: WorkerSeconds::default(),
             heads: Vec::with_capacity(sizes.batch),
@@ -148,6 +153,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             scatters: Vec::with_capacity(sizes.walks),
             waiting_walks: vec![None; if sizes.walks > 0 { sizes.batch * sizes.stack_depth } else { 0 }],
             borders: Borders::new(sizes.borders),
+            details: Vec::new(),
         }
     }
 
@@ -161,6 +167,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             Loop::Matt => self.trace_in::<Matt>(samples),
             Loop::Whitted => self.trace_in::<Whitted>(samples),
             Loop::Sampled => self.trace_in::<Sampled>(samples),
+            Loop::Detailed => self.trace_in::<Detailed>(samples),
         }
     }
 
@@ -178,7 +185,12 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             self.rays.push(ray);
             self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
             if E::SAMPLED {
-                self.walks.push(Walk::start(key));
+                let mut walk = Walk::start(key);
+                if E::DETAILED {
+                    let [width, spread] = self.stage.view.footprint();
+                    walk.cone = Cone { width, spread };
+                }
+                self.walks.push(walk);
                 // A lens of radius 0 and a camera at rest see what the camera sees.
                 let forced = [self.stage.force_lens, self.stage.force_shutter];
                 self.forced.extend(forced.into_iter().filter(|forced| *forced).map(|_| ray));
@@ -200,6 +212,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         while !self.heads.is_empty() {
             self.step::<E>()?;
         }
+        self.counters.add_details(&std::mem::take(&mut self.query.counters));
         Ok(())
     }
 
@@ -224,7 +237,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         }
         let traced = Instant::now();
         self.seconds.paths += (traced - start).as_secs_f64();
-        self.shade::<E>();
+        self.shade::<E>()?;
         self.seconds.shading += traced.elapsed().as_secs_f64();
         if self.stage.direct {
             self.light::<E>()?;
@@ -270,9 +283,10 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     }
 
     /// Adds background, emission and ambient light, lists the points to be lit, and spawns children.
-    fn shade<E: EffectsOfLoop>(&mut self) {
+    fn shade<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
         self.points.clear();
         self.scatters.clear();
+        self.details.clear();
         self.next_heads.clear();
         self.next_rays.clear();
         self.next_walks.clear();
@@ -331,8 +345,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 self.follow::<E>(index, &head, normal, [Some(child), None, None]);
                 continue;
             }
-            self.radiance[slot] += head.throughput * (shader.emission + shader.diffuse * stage.ambient);
-            let point = Point {
+            let mut point = Point {
                 slot: head.slot,
                 material: hit.material,
                 throughput: head.throughput,
@@ -341,6 +354,28 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 origin: origin_on(normal),
                 view: -direction,
             };
+            let local;
+            let mut shader = shader;
+            let mut place = Scatter::OF_MATERIAL;
+            if E::DETAILED {
+                let width = self.walks[index].cone.width_at(hit.t);
+                let seen = Seen { geometric: normal, is_behind, view: -direction, width };
+                let detail = Detail::at(stage, &mut self.query, &mut self.counters, &hit, shader, &seen)?;
+                point.normal = detail.normal;
+                if detail.lift != DVec3::ZERO {
+                    // The offset keeps its side: the lift never leads to the other.
+                    point.position += detail.lift;
+                    point.origin = (DVec3::from_array(point.origin) + detail.lift).to_array();
+                }
+                if let Some(found) = detail.shader {
+                    // As many as there are points, which are as many as there are samples.
+                    place = self.details.len() as u32;
+                    self.details.push(found);
+                    local = found;
+                    shader = &local;
+                }
+            }
+            self.radiance[slot] += head.throughput * (shader.emission + shader.diffuse * stage.ambient);
             let is_lit = stage.direct || E::SAMPLED && stage.samples_lights();
             let eta =
                 if E::SECONDARY { index_ratio(stage, shader, border.as_ref(), is_behind) } else { None };
@@ -351,22 +386,26 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 if E::SAMPLED {
                     let walk = self.walks[index];
                     let vertex = walk.vertex;
-                    self.scatters.push(Scatter { walk, vertex, far_origin: origin_on(-normal), eta });
+                    let far_origin = origin_on(-normal);
+                    self.scatters.push(Scatter { walk, vertex, far_origin, eta, detail: place });
                 }
             }
             if E::SECONDARY {
-                self.spawn::<E>(index, &head, shader, &point, eta, || origin_on(-normal));
+                self.spawn::<E>(index, &head, shader, &point, normal, eta, || origin_on(-normal));
             }
         }
+        Ok(())
     }
 
-    /// Decides which rays leave `point`, and makes one the sample's next head.
+    /// Decides which rays leave `point`, whose triangle has the normal `geometric`, and makes one the sample's next head.
+    #[expect(clippy::too_many_arguments, reason = "all belong to one hit")]
     fn spawn<E: EffectsOfLoop>(
         &mut self,
         index: usize,
         head: &Head,
         shader: &Shader,
         point: &Point,
+        geometric: DVec3,
         eta: Option<f64>,
         far_origin: impl Fn() -> [f64; 3],
     ) {
@@ -403,6 +442,11 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 transmitted *= lobe.map_or(0.0, |lobe| lobe.weight);
                 course[0] = Course::Sampled(lobe.map_or(0.0, |lobe| lobe.density));
             }
+        }
+        if E::DETAILED {
+            // Where the two normals disagree, rays still go to the side that they are meant for.
+            onward = onward.map(|onward| on_side(onward, -geometric));
+            away = Some(on_side(away.unwrap_or_else(|| reflect(direction, point.normal)), geometric));
         }
         let mut candidates = [
             (Kind::Transmission, DVec3::splat(if onward.is_some() { transmitted } else { 0.0 })),
@@ -646,6 +690,13 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             }
         }
         walk.has_bounced |= child.kind == Kind::Bounce;
+        if self.stage.path_loop == Loop::Detailed
+            && let Some(hit) = &self.hits[index]
+        {
+            // The hit that it leaves is still there.
+            let alpha = self.stage.shader(hit.material).alpha;
+            walk.cone = before.cone.on(hit.t, alpha, child.kind == Kind::Bounce);
+        }
         walk
     }
 
@@ -664,94 +715,6 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 self.next_walks.extend(self.waiting_walks[place].take());
             }
         }
-    }
-
-    /// Adds the light of every lamp at every point, lamp by lamp: rays to one lamp stay together, and each sample
-    /// sums its lamps in the scene's order.
-    fn light<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
-        let stage = self.stage;
-        let with_rays = stage.shadows || stage.force_shadows;
-        let mut start = Instant::now();
-        for (light, emitter) in (0u32..).zip(&stage.emitters) {
-            for index in 0..self.points.len() {
-                let point = self.points[index];
-                let incidence = emitter.incidence(point.position);
-                let mut contribution = DVec3::ZERO;
-                let mut origin = point.origin;
-                if E::SAMPLED {
-                    let scatter = self.scatters[index];
-                    if incidence.toward.dot(point.normal) < 0.0 {
-                        origin = scatter.far_origin;
-                    }
-                    let response = self.response(&point, &scatter, incidence.toward, None, Lobes::All);
-                    let arriving = point.throughput * response * incidence.irradiance;
-                    contribution = self.worth_asking(
-                        point.slot,
-                        &scatter,
-                        arriving,
-                        Dimension::PointLightRoulette(light),
-                    );
-                } else {
-                    let shader = stage.shader(point.material);
-                    let cosine = incidence.toward.dot(point.normal);
-                    if cosine > 0.0 {
-                        let mut response = shader.diffuse * cosine;
-                        if shader.highlight != DVec3::ZERO {
-                            response += highlight(shader, &point, incidence.toward);
-                        }
-                        contribution = point.throughput * response * incidence.irradiance;
-                    }
-                    let largest = contribution.max_element();
-                    if largest <= stage.settings.contribution_bound {
-                        self.counters.contribution_cuts += u64::from(largest > 0.0);
-                        self.lost[point.slot as usize] += largest;
-                        contribution = DVec3::ZERO;
-                    }
-                }
-                if contribution == DVec3::ZERO && !stage.force_shadows {
-                    continue;
-                }
-                if !with_rays {
-                    self.radiance[point.slot as usize] += contribution;
-                    continue;
-                }
-                let ray = emitter.shadow_ray(origin, point.normal);
-                self.shadows.push(point.slot, contribution, ray);
-                if self.shadows.is_full() {
-                    start = self.resolve_shadows(start)?;
-                }
-            }
-        }
-        if !self.shadows.is_empty() {
-            start = self.resolve_shadows(start)?;
-        }
-        self.seconds.shading += start.elapsed().as_secs_f64();
-        Ok(())
-    }
-
-    /// Resolves the shadow batch; books the time since `start` as shading and the rest as shadows.
-    pub(super) fn resolve_shadows(&mut self, start: Instant) -> Result<Instant, TraceError> {
-        let shaded = Instant::now();
-        self.seconds.shading += (shaded - start).as_secs_f64();
-        let lost = &mut self.lost;
-        self.shadows.resolve(self.stage, &mut self.query, &mut self.radiance, lost, &mut self.counters)?;
-        let resolved = Instant::now();
-        self.seconds.shadows += (resolved - shaded).as_secs_f64();
-        Ok(resolved)
-    }
-}
-
-/// The refractive index on the ray's side over that on the other; none if light goes straight on.
-fn index_ratio(stage: &Stage, shader: &Shader, border: Option<&Border>, is_behind: bool) -> Option<f64> {
-    let index = shader.refractive_index;
-    match border {
-        Some(border) if border.is_medium => {
-            let index = |medium: Option<MaterialId>| medium.map_or(1.0, |m| stage.shader(m).refractive_index);
-            let (before, after) = (index(border.before), index(border.after));
-            (before != after).then(|| before / after)
-        }
-        _ if shader.transmission > 0.0 && index != 1.0 => Some(if is_behind { index } else { 1.0 / index }),
-        _ => None,
     }
 }
 
@@ -775,4 +738,6 @@ pub(crate) fn bytes_needed(stage: &Stage) -> usize {
         + sizes.borders * size_of::<Option<Hit>>()
         + ShadowBatch::bytes_needed(sizes.shadows, stage.transparent.is_some())
         + sizes.forced * (size_of::<Ray>() + size_of::<Option<Hit>>())
+        + if stage.path_loop == Loop::Detailed { 2 * sizes.batch * size_of::<Shader>() } else { 0 }
+        + SurfaceQuery::<()>::bytes_needed(stage, sizes.batch.max(sizes.shadows).max(sizes.forced))
 }

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::counters::EffectCounters;
 use super::film::Film;
 use super::paths;
+use super::query::SceneTracer;
 use super::renderer::{Renderer, set};
 use super::settings::RenderSettings;
 use super::stage::Stage;
@@ -15,7 +16,6 @@ use crate::error::{BudgetError, RenderError};
 use crate::model::Model;
 use crate::scene::Scene;
 use crate::stats::TraceCounters;
-use crate::trace::Tracer;
 use crate::units::Bytes;
 
 /// A rectangle of pixels.
@@ -41,7 +41,7 @@ impl Region {
 /// Renders one region after the other, on one thread. Made by [`Renderer::regions`]. A pixel is the same, bit for bit, whatever
 /// regions the picture is cut into and whoever renders them (I2).
 pub struct RegionRenderer<'r> {
-    worker: Worker<'r, Flag<'r>, Tracer<'r>>,
+    worker: Worker<'r, Flag<'r>, SceneTracer<'r>>,
     width: u32,
     height: u32,
     side_max: u32,
@@ -73,7 +73,9 @@ impl Renderer<'_> {
         settings: &RenderSettings,
     ) -> Result<Bytes, RenderError> {
         let (stage, _) = set(scene, model, settings)?;
-        Ok(scratch_bytes(&stage))
+        // Caches are shared by all threads; a part of each thread's own is as much or more.
+        let details = Renderer::detail_bytes(scene, model, settings, 1)?;
+        Ok(Bytes(scratch_bytes(&stage).0 + details.0))
     }
 
     /// A renderer of regions for the calling thread. Regions may have at most the settings' `tile_size` pixels a side. While
@@ -85,7 +87,7 @@ impl Renderer<'_> {
         let scratch = self.budget.reserve(scratch_bytes(&self.stage), "a region's ray trees and pixels")?;
         let settings = &self.stage.settings;
         Ok(RegionRenderer {
-            worker: Worker::new(Flag(stop), &self.stage, self.octree.tracer()?),
+            worker: Worker::new(Flag(stop), &self.stage, self.query()?),
             width: settings.width,
             height: settings.height,
             side_max: settings.tile_size,

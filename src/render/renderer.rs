@@ -1,17 +1,19 @@
 //! Puts octree, scene and settings together.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::film::Film;
 use super::layers::{Layers, layers};
 use super::probe::Probe;
-use super::query::RayQuery;
+use super::query::{RayQuery, SceneTracer};
 use super::report::{Outcome, RenderReport};
 use super::resample::{self, Resampled, SampledPixel};
 use super::settings::RenderSettings;
 use super::stage::Stage;
 use super::workers::{self, ProgressFn, Thresholds, Totals};
 use super::{Progress, paths};
+use crate::attributes::AttributeCache;
 use crate::budget::MemoryBudget;
 use crate::cache::CacheStats;
 use crate::compile::{Control, Threads};
@@ -19,7 +21,7 @@ use crate::error::{RenderError, TraceError};
 use crate::model::Model;
 use crate::octree::LazyOctree;
 use crate::scene::{EffectPlan, Scene};
-use crate::trace::Tracer;
+use crate::texture::TextureCache;
 use crate::units::Bytes;
 
 /// A picture and what making it took.
@@ -50,22 +52,40 @@ pub struct Renderer<'a> {
     pub(super) stage: Stage,
     plan: EffectPlan,
     pub(super) budget: MemoryBudget,
+    attributes: Option<AttributeCache>,
 }
 
 impl<'a> Renderer<'a> {
     /// A renderer for `scene` over the geometry of `octree`. Checks scene and settings and makes the
-    /// [`EffectPlan`]; memory is taken from `budget` only while [`Renderer::render`] runs.
+    /// [`EffectPlan`]. Memory is taken from `budget` only while [`Renderer::render`] runs, but for the cache of attributes, if the
+    /// picture needs any: that is there from here on until the renderer is dropped.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] for a scene or settings that make no sense.
+    /// [`RenderError::Setting`] for a scene or settings that make no sense; [`RenderError::Budget`] and [`RenderError::Trace`] if attributes are
+    /// needed and their cache does not fit, or the octree's source cannot give them.
     pub fn new(
         octree: &'a LazyOctree,
         scene: &Scene,
         settings: &RenderSettings,
         budget: &MemoryBudget,
     ) -> Result<Renderer<'a>, RenderError> {
-        let (stage, plan) = set(scene, octree.model(), settings)?;
-        Ok(Renderer { octree, stage, plan, budget: budget.clone() })
+        let (mut stage, plan) = set(scene, octree.model(), settings)?;
+        // Threads of a render have a tracer each.
+        let readers = octree.tracers_max().max(1);
+        let [attribute_share, texture_share] = detail_shares(&stage, settings);
+        let attributes = match stage.needs_attributes(octree.model()) {
+            true => {
+                let source = Arc::clone(octree.source());
+                let cache = AttributeCache::open(source, attribute_share, readers, budget);
+                Some(cache.map_err(TraceError::Load)?)
+            }
+            false => None,
+        };
+        if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
+            let cache = TextureCache::open(Arc::clone(textures), texture_share, readers, budget)?;
+            stage.textures = Some(Arc::new(cache));
+        }
+        Ok(Renderer { octree, stage, plan, budget: budget.clone(), attributes })
     }
 
     /// What a render on `threads` takes from the budget for film, ray trees and tables. An octree opened without
@@ -80,7 +100,42 @@ impl<'a> Renderer<'a> {
         threads: &Threads,
     ) -> Result<Bytes, RenderError> {
         let (stage, _) = set(scene, model, settings)?;
-        Ok(memory(&stage, threads).total())
+        let readers = workers::worker_count(threads) as u32;
+        let details = detail_bytes(&stage, scene, model, readers);
+        Ok(Bytes(memory(&stage, threads).total().0 + details.0))
+    }
+
+    /// Of [`Renderer::bytes_needed`], what the caches of attributes and textures take for so many threads.
+    ///
+    /// # Errors
+    /// As for [`Renderer::new`].
+    pub(crate) fn detail_bytes(
+        scene: &Scene,
+        model: &Model,
+        settings: &RenderSettings,
+        readers: u32,
+    ) -> Result<Bytes, RenderError> {
+        let (stage, _) = set(scene, model, settings)?;
+        Ok(detail_bytes(&stage, scene, model, readers))
+    }
+
+    /// What the cache of attributes did, if the picture needs one.
+    pub fn attribute_stats(&self) -> Option<CacheStats> {
+        self.attributes.as_ref().map(AttributeCache::stats)
+    }
+
+    /// What the cache of textures did, if the picture needs one.
+    pub fn texture_stats(&self) -> Option<CacheStats> {
+        self.stage.textures.as_deref().map(TextureCache::stats)
+    }
+
+    /// A query for one thread.
+    ///
+    /// # Errors
+    /// [`RenderError::Trace`] if the octree gives no more tracers.
+    pub(super) fn query(&self) -> Result<SceneTracer<'_>, TraceError> {
+        let attributes = self.attributes.as_ref().map(AttributeCache::reader);
+        Ok(SceneTracer { tracer: self.octree.tracer()?, attributes })
     }
 
     /// The effects that will be simulated, and why.
@@ -95,7 +150,7 @@ impl<'a> Renderer<'a> {
     /// [`RenderError::Budget`] if the layers do not fit, [`RenderError::Trace`] if a block cannot be brought in,
     /// [`RenderError::Cancelled`] if `progress` said so.
     pub fn layers(&self, progress: &mut dyn FnMut(Progress) -> Control) -> Result<Layers, RenderError> {
-        layers(&self.stage, &self.budget, &mut self.octree.tracer()?, progress)
+        layers(&self.stage, &self.budget, self.query()?, progress)
     }
 
     /// Makes the picture on `threads`. `progress` is called after each batch of samples, by one thread at a time;
@@ -121,8 +176,7 @@ impl<'a> Renderer<'a> {
         progress: &mut (dyn FnMut(Progress) -> Control + Send),
     ) -> Result<RenderedImage, RenderError> {
         let cache_before = self.octree.cache().stats();
-        let picture =
-            picture(&self.stage, threads, &self.budget, &|| self.octree.tracer(), thresholds, progress)?;
+        let picture = picture(&self.stage, threads, &self.budget, &|| self.query(), thresholds, progress)?;
         let Picture { film, totals, wall_seconds, memory } = picture;
         let settings = &self.stage.settings;
         let report = RenderReport {
@@ -159,8 +213,8 @@ impl Renderer<'_> {
         pixel_count: u32,
         samples_min: u32,
         stop: &mut dyn FnMut() -> Control,
-    ) -> Result<Option<Probe<'_, Tracer<'_>>>, RenderError> {
-        let query = self.octree.tracer()?;
+    ) -> Result<Option<Probe<'_, SceneTracer<'_>>>, RenderError> {
+        let query = self.query()?;
         Probe::new(&self.stage, query, pixel_count, samples_min, &self.budget, stop)
     }
 
@@ -177,7 +231,7 @@ impl Renderer<'_> {
         let scratch = paths::bytes_needed(&self.stage) * workers::worker_count(threads)
             + resample::bytes_needed(pixels.len());
         let _scratch = self.budget.reserve(Bytes(scratch as u64), "ray trees of a second look at pixels")?;
-        resample::resample(&self.stage, pixels, threads, &|| self.octree.tracer(), stop)
+        resample::resample(&self.stage, pixels, threads, &|| self.query(), stop)
     }
 
     /// What [`Renderer::probe`] takes from the budget.
@@ -191,7 +245,7 @@ impl Renderer<'_> {
         pixel_count: u32,
     ) -> Result<Bytes, RenderError> {
         let (stage, _) = set(scene, model, settings)?;
-        Ok(Probe::<Tracer<'_>>::bytes_needed(&stage, pixel_count))
+        Ok(Probe::<SceneTracer<'_>>::bytes_needed(&stage, pixel_count))
     }
 }
 
@@ -203,6 +257,26 @@ pub(super) struct Picture {
     pub memory: Bytes,
 }
 
+/// What the caches of attributes and textures take for so many threads.
+fn detail_bytes(stage: &Stage, scene: &Scene, model: &Model, readers: u32) -> Bytes {
+    let [attribute_share, texture_share] = detail_shares(stage, &stage.settings);
+    let mut bytes = 0;
+    if stage.needs_attributes(model) {
+        bytes += AttributeCache::footprint(model, attribute_share, readers).0;
+    }
+    if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
+        bytes += TextureCache::footprint(textures, texture_share, readers).0;
+    }
+    Bytes(bytes)
+}
+
+/// Bytes for the caches of attributes and of textures: a quarter for those, if there are these.
+fn detail_shares(stage: &Stage, settings: &RenderSettings) -> [Bytes; 2] {
+    let all = settings.detail_bytes;
+    let attributes = if stage.needs_textures() { all / 4 } else { all };
+    [attributes, all - attributes].map(Bytes)
+}
+
 /// Checks scene and settings and brings them into the form that rendering wants.
 pub(super) fn set(
     scene: &Scene,
@@ -212,6 +286,9 @@ pub(super) fn set(
     scene.validate()?;
     settings.validate()?;
     scene.validate_finishes(&model.materials)?;
+    if model.attributes.have_uvs() {
+        scene.validate_textures(&model.materials, settings.switched_off)?;
+    }
     let plan = EffectPlan::scan(scene, model, &settings.effect_options());
     Ok((Stage::new(scene, &model.materials, &plan, settings), plan))
 }

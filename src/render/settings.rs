@@ -54,6 +54,9 @@ pub struct RenderSettings {
     pub forced: EffectSet,
     /// Side of a tile in pixels, 1 to 4096.
     pub tile_size: u32,
+    /// Bytes of the memory budget that hold attributes and textures at most, if the picture needs any; more is taken only if threads
+    /// need it. Does not show.
+    pub detail_bytes: u64,
     /// Samples that are traced together at most; each holds up to four kilobytes in each thread.
     pub batch_samples: u32,
 }
@@ -75,6 +78,7 @@ impl RenderSettings {
             switched_off: EffectSet::EMPTY,
             forced: EffectSet::EMPTY,
             tile_size: 32,
+            detail_bytes: 64 << 20,
             batch_samples: 1024,
         }
     }

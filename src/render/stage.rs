@@ -1,17 +1,21 @@
 //! Everything about a picture that stays the same while it is made, in the form that shading wants.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::bound::RadianceBound;
+use super::detail::maps::{CutOuts, MaterialMaps, cut_outs, maps};
 use super::random::{Dimension, SampleKey, VertexId};
 use super::sampling::pixel_offset;
 use super::settings::{PathEnd, RenderSettings};
 use super::tiles::TileGrid;
 use crate::geom::Ray;
-use crate::model::MaterialRecord;
+use crate::model::{MaterialRecord, Model};
 use crate::scene::{
     AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Scene, Surface, View,
 };
+use crate::texture::TextureCache;
 use crate::trace::MaterialSet;
 use crate::units::MaterialId;
 
@@ -34,6 +38,8 @@ pub(crate) struct Shader {
     pub is_medium: bool,
     /// Whether lamps show on it.
     pub is_lit: bool,
+    /// Whether it looks different if its normal does.
+    pub depends_on_normal: bool,
     /// Whether it shows lights with extent by reflection, so that a highlight would show them twice.
     pub reflects: bool,
 }
@@ -91,6 +97,7 @@ impl Shader {
             priority: surface.priority,
             is_medium: surface.refracts() || surface.is_transparent() && surface.absorption != [0.0; 3],
             is_lit: surface.is_lit() || surface.alpha > 0.0,
+            depends_on_normal: surface.depends_on_normal() || surface.alpha > 0.0,
             reflects: surface.is_mirror() || surface.refracts(),
         }
     }
@@ -112,6 +119,8 @@ pub(crate) enum Loop {
     Whitted,
     /// Everything, gated at run time.
     Sampled,
+    /// And attributes of corners.
+    Detailed,
 }
 
 /// The unchanging part of a render.
@@ -159,6 +168,15 @@ pub(crate) struct Stage {
     pub force_nested: bool,
     pub force_lens: bool,
     pub force_shutter: bool,
+    pub smooth: bool,
+    /// Whether attributes are looked up although they cannot matter.
+    pub force_details: bool,
+    /// The pictures of each material; empty if the plan needs none.
+    maps: Vec<MaterialMaps>,
+    /// Materials that are not there everywhere.
+    pub cut_outs: Option<CutOuts>,
+    /// Where tiles of pictures come from, if there are any.
+    pub textures: Option<Arc<TextureCache>>,
 }
 
 impl Stage {
@@ -203,6 +221,7 @@ impl Stage {
         if !plan.has(Effect::MotionBlur) {
             camera = camera.at_rest();
         }
+        let details = [Effect::SmoothNormals, Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
         let mut stage = Stage {
             grid: settings.grid(),
             settings: *settings,
@@ -243,7 +262,13 @@ impl Stage {
             force_nested: plan.forces(Effect::NestedMedia),
             force_lens: plan.forces(Effect::DepthOfField) && !plan.has(Effect::DepthOfField),
             force_shutter: plan.forces(Effect::MotionBlur) && !plan.has(Effect::MotionBlur),
+            smooth: plan.has(Effect::SmoothNormals),
+            force_details: details.into_iter().any(|effect| plan.forces(effect) && !plan.has(effect)),
+            maps: maps(scene, materials, plan),
+            cut_outs: None,
+            textures: None,
         };
+        stage.cut_outs = cut_outs(&stage.maps, stage.transparent.as_ref());
         stage.path_loop = stage.choose_loop();
         stage
     }
@@ -257,7 +282,9 @@ impl Stage {
             || self.roulette
             || self.forces_a_sampled_effect()
             || self.has_rough;
-        if is_sampled {
+        if self.smooth || self.force_details || self.maps.iter().any(MaterialMaps::are_seen) {
+            Loop::Detailed
+        } else if is_sampled {
             Loop::Sampled
         } else if self.reflection || self.transmission || self.force_reflection || self.force_transmission {
             Loop::Whitted
@@ -293,8 +320,24 @@ impl Stage {
     /// What the tables take, those needed only to make them included.
     pub fn bytes(&self) -> usize {
         self.shaders.len() * (size_of::<Shader>() + size_of::<Surface>())
+            + self.maps.len() * size_of::<MaterialMaps>()
             + self.emitters.len() * size_of::<Emitter>()
             + self.areas.len() * size_of::<AreaEmitter>()
+    }
+
+    /// Whether hits are asked for attributes that the model has.
+    pub fn needs_attributes(&self, model: &Model) -> bool {
+        (self.smooth || self.force_details || self.needs_textures()) && !model.attributes.is_empty()
+    }
+
+    /// Whether hits are looked up in pictures.
+    pub fn needs_textures(&self) -> bool {
+        self.cut_outs.is_some() || self.maps.iter().any(MaterialMaps::are_seen)
+    }
+
+    /// The pictures of a material.
+    pub fn maps(&self, material: MaterialId) -> &MaterialMaps {
+        self.maps.get(usize::from(material.0)).unwrap_or(&MaterialMaps::NONE)
     }
 
     /// The shading terms of a material.

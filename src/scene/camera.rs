@@ -257,6 +257,11 @@ impl View {
         self.ray_from(self.eye, self.frame, x, y)
     }
 
+    /// Width of a pixel at the beginning of its ray, and how much wider it becomes along a unit of the ray (in the middle of the picture).
+    pub(crate) fn footprint(&self) -> [f64; 2] {
+        if self.parallel { [self.pixel, 0.0] } else { [0.0, self.pixel] }
+    }
+
     /// Whether [`View::sampled_ray`] looks at the point of the lens it is given.
     pub(crate) fn has_lens(&self) -> bool {
         self.lens.is_some()

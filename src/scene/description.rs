@@ -1,11 +1,14 @@
 //! A scene: everything about a picture but its geometry and its size.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
-use super::{Camera, Environment, Finish, Light};
+use super::{Camera, Effect, EffectSet, Environment, Finish, Light};
 use crate::error::RenderError;
 use crate::geom::Aabb;
 use crate::model::MaterialRecord;
+use crate::texture::{Encoding, Textures};
 
 /// Camera, lights and what is seen where nothing is hit. Materials come from the compiled model; a scene may add a
 /// [`Finish`] to them.
@@ -18,6 +21,8 @@ pub struct Scene {
     environment: Option<Environment>,
     interreflection: bool,
     finishes: Vec<(String, Finish)>,
+    #[serde(skip)]
+    textures: Option<Arc<Textures>>,
 }
 
 impl Scene {
@@ -31,6 +36,7 @@ impl Scene {
             environment: None,
             interreflection: false,
             finishes: Vec::new(),
+            textures: None,
         }
     }
 
@@ -107,6 +113,19 @@ impl Scene {
         self
     }
 
+    /// Sets the pictures that materials name ([`Textures::open`]). They do not travel: a scene with pictures cannot be rendered by the
+    /// workers of a cluster, which say so.
+    #[must_use]
+    pub fn with_textures(mut self, textures: Arc<Textures>) -> Scene {
+        self.textures = Some(textures);
+        self
+    }
+
+    /// The pictures that materials name.
+    pub fn textures(&self) -> Option<&Arc<Textures>> {
+        self.textures.as_ref()
+    }
+
     /// The camera.
     pub fn camera(&self) -> &Camera {
         &self.camera
@@ -156,6 +175,42 @@ impl Scene {
             if colour.iter().any(|channel| !(*channel >= 0.0 && channel.is_finite())) {
                 let reason = "each channel must be finite and not negative".to_string();
                 return Err(RenderError::Setting { what, reason });
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that the pictures of `materials` are there, those of effects in `switched_off` apart.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] for a picture that is not.
+    pub fn validate_textures(
+        &self,
+        materials: &[MaterialRecord],
+        switched_off: EffectSet,
+    ) -> Result<(), RenderError> {
+        let is_on = |effect| !switched_off.contains(effect);
+        for record in materials {
+            let Some(images) = record.images.as_deref() else { continue };
+            let colors = is_on(Effect::Textures) || is_on(Effect::AlphaCutouts);
+            let maps = [
+                (&images.diffuse, Encoding::Srgb, colors),
+                (&images.specular, Encoding::Srgb, is_on(Effect::Textures)),
+                (&images.opacity, Encoding::Linear, is_on(Effect::AlphaCutouts)),
+                (&images.bump, Encoding::Linear, is_on(Effect::BumpMaps)),
+                (&images.normal, Encoding::Linear, is_on(Effect::BumpMaps)),
+            ];
+            for (map, encoding, is_wanted) in maps {
+                let Some(map) = map.as_ref().filter(|_| is_wanted) else { continue };
+                let found = self.textures.as_ref().and_then(|textures| textures.find(&map.path, encoding));
+                if found.is_none() {
+                    let reason = format!(
+                        "the material {:?} names the image {:?}, which is not open: give the scene the model's images \
+                         (`Textures::open`, `Scene::with_textures`) or switch the effects of images off",
+                        record.name, map.path
+                    );
+                    return Err(RenderError::Setting { what: "textures", reason });
+                }
             }
         }
         Ok(())

@@ -33,11 +33,19 @@ pub enum Effect {
     MotionBlur,
     /// More than one sample per pixel.
     Antialiasing,
+    /// Light falls on the curved surface that a mesh stands for: interpolated normals.
+    SmoothNormals,
+    /// Colours from image files.
+    Textures,
+    /// Surfaces that are not there where an image says so.
+    AlphaCutouts,
+    /// Heights or normals from image files bend what light falls on.
+    BumpMaps,
 }
 
 impl Effect {
     /// All effects.
-    pub const ALL: [Effect; 14] = [
+    pub const ALL: [Effect; 18] = [
         Effect::DirectLight,
         Effect::Shadows,
         Effect::AreaLight,
@@ -52,6 +60,10 @@ impl Effect {
         Effect::DepthOfField,
         Effect::MotionBlur,
         Effect::Antialiasing,
+        Effect::SmoothNormals,
+        Effect::Textures,
+        Effect::AlphaCutouts,
+        Effect::BumpMaps,
     ];
 
     /// The name used in reports.
@@ -71,6 +83,10 @@ impl Effect {
             Effect::DepthOfField => "depth of field",
             Effect::MotionBlur => "motion blur",
             Effect::Antialiasing => "antialiasing",
+            Effect::SmoothNormals => "smooth normals",
+            Effect::Textures => "textures",
+            Effect::AlphaCutouts => "alpha cut-outs",
+            Effect::BumpMaps => "bump maps",
         }
     }
 }

@@ -30,6 +30,6 @@ pub use finish::Finish;
 pub use lens::Lens;
 pub(crate) use light::Emitter;
 pub use light::{Falloff, Light};
-pub use plan::{EffectDecision, EffectPlan};
+pub use plan::{AttributeKinds, EffectDecision, EffectPlan};
 pub(crate) use sphere::{cosine_direction, frame_around, to_frame};
 pub use surface::Surface;

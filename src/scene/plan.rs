@@ -21,6 +21,15 @@ pub struct EffectDecision {
     pub reason: String,
 }
 
+/// Which attributes the corners of any triangles have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AttributeKinds {
+    /// Texture coordinates.
+    pub uvs: bool,
+    /// Normals.
+    pub normals: bool,
+}
+
 /// The effects that a scene calls for, each with its reason, and those that it does not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EffectPlan {
@@ -42,16 +51,28 @@ impl EffectPlan {
             used[low.min(end)..end].fill(true);
         }
         let used = model.materials.iter().zip(used).filter(|(_, used)| *used).map(|(record, _)| record);
-        EffectPlan::of_materials(scene, used, options)
+        let attributes =
+            AttributeKinds { uvs: model.attributes.have_uvs(), normals: model.attributes.have_normals() };
+        EffectPlan::of_parts(scene, used, attributes, options)
     }
 
-    /// [`EffectPlan::scan`] for a list of materials that are all in use.
+    /// [`EffectPlan::scan`] for a list of materials that are all in use, and triangles without attributes.
     pub fn of_materials<'m>(
         scene: &Scene,
         materials: impl IntoIterator<Item = &'m MaterialRecord>,
         options: &EffectOptions,
     ) -> EffectPlan {
-        let traits = scan::Traits::of(scene, materials);
+        EffectPlan::of_parts(scene, materials, AttributeKinds::default(), options)
+    }
+
+    /// [`EffectPlan::scan`] for a list of materials that are all in use, and what the triangles have beside their place.
+    pub fn of_parts<'m>(
+        scene: &Scene,
+        materials: impl IntoIterator<Item = &'m MaterialRecord>,
+        attributes: AttributeKinds,
+        options: &EffectOptions,
+    ) -> EffectPlan {
+        let traits = scan::Traits::of(scene, materials, attributes);
         let mut needed = EffectSet::EMPTY;
         let mut decisions = Vec::with_capacity(Effect::ALL.len());
         // What an effect rests on comes before it, so that one left out takes those that rest on it along.

@@ -1,8 +1,10 @@
 //! The traits of a scene and its materials that call for effects, and the verdict on each effect in words.
 
 use super::effect::{Effect, EffectOptions, EffectSet};
+use super::plan::AttributeKinds;
 use super::{Light, Scene, Surface};
 use crate::model::MaterialRecord;
+use crate::texture::Encoding;
 
 /// Whether an effect is called for, and why or why not.
 pub(super) struct Verdict {
@@ -31,13 +33,23 @@ pub(super) struct Traits {
     transparent: Group,
     absorbing: Group,
     ranked: Group,
+    /// Materials that look different if their normal does.
+    shaded: Group,
+    textured: Group,
+    cut_out: Group,
+    bumped: Group,
     point_lights: usize,
     area_lights: usize,
+    attributes: AttributeKinds,
 }
 
 impl Traits {
-    pub fn of<'m>(scene: &Scene, materials: impl IntoIterator<Item = &'m MaterialRecord>) -> Traits {
-        let mut traits = Traits::default();
+    pub fn of<'m>(
+        scene: &Scene,
+        materials: impl IntoIterator<Item = &'m MaterialRecord>,
+        attributes: AttributeKinds,
+    ) -> Traits {
+        let mut traits = Traits { attributes, ..Traits::default() };
         for record in materials {
             let finish = scene.finish(record);
             let surface = Surface::with_finish(record, &finish);
@@ -51,6 +63,15 @@ impl Traits {
             traits.frosted.add(surface.refracts() && rough, record);
             traits.transparent.add(surface.is_transparent(), record);
             traits.absorbing.add(surface.is_transparent() && surface.absorption != [0.0; 3], record);
+            traits.shaded.add(surface.depends_on_normal(), record);
+            if let (Some(images), Some(textures)) = (&record.images, scene.textures()) {
+                let color = images.diffuse.as_ref().and_then(|map| textures.find(&map.path, Encoding::Srgb));
+                let has_alpha = color.is_some_and(|texture| textures.has_alpha(texture));
+                let is_bumped = images.bump.is_some() || images.normal.is_some();
+                traits.textured.add(images.diffuse.is_some() || images.specular.is_some(), record);
+                traits.cut_out.add(images.opacity.is_some() || has_alpha, record);
+                traits.bumped.add(is_bumped && surface.depends_on_normal(), record);
+            }
             traits.ranked.add(surface.is_transparent() && finish.priority.is_some(), record);
         }
         let shining = |light: &&Light| !light.is_dark();
@@ -177,6 +198,33 @@ impl Traits {
                 0 | 1 => no("one sample per pixel was asked for"),
                 samples => yes(format!("{samples} samples per pixel were asked for")),
             },
+            Effect::Textures => {
+                self.by_images(scene, &self.textured, ["material with pictures", "materials with pictures"])
+            }
+            Effect::AlphaCutouts => {
+                self.by_images(scene, &self.cut_out, ["material with holes", "materials with holes"])
+            }
+            Effect::BumpMaps => {
+                self.by_images(scene, &self.bumped, ["material with bumps", "materials with bumps"])
+            }
+            Effect::SmoothNormals => match (self.attributes.normals, self.shaded.count) {
+                (false, _) => no("no triangle has normals at its corners"),
+                (true, 0) => no("no material is lit, reflects or refracts"),
+                (true, _) => yes(format!(
+                    "the model has normals, on {}",
+                    self.shaded.describe("material that shows them", "materials that show them")
+                )),
+            },
+        }
+    }
+
+    /// An effect of pictures on the surfaces of a group.
+    fn by_images(&self, scene: &Scene, group: &Group, [one, many]: [&str; 2]) -> Verdict {
+        match (scene.textures(), self.attributes.uvs, group.count) {
+            (None, ..) => no("the scene has no images"),
+            (_, false, _) => no("no triangle has texture coordinates"),
+            (_, _, 0) => no(format!("there are no {many}")),
+            _ => yes(group.describe(one, many)),
         }
     }
 

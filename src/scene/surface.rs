@@ -100,6 +100,11 @@ impl Surface {
         self.transmission > 0.0
     }
 
+    /// Whether it looks different if its normal does: all but what only glows, or lets light pass straight on.
+    pub fn depends_on_normal(&self) -> bool {
+        self.is_lit() || self.is_mirror() || self.refracts()
+    }
+
     /// Whether it splits light by Fresnel's equations.
     pub fn refracts(&self) -> bool {
         self.is_transparent() && self.refractive_index != 1.0
@@ -141,6 +146,7 @@ mod tests {
             transmission: [0.0, 2.0, f32::NAN],
             refractive_index: f32::NAN,
             mirror: true,
+            images: None,
         };
         let surface = Surface::from_record(&record);
         assert_eq!(surface.diffuse, [0.0, 0.0, 3.0]);

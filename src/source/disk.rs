@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::{BlockSource, OpenError, block_name, place_of};
+use super::{BlockSource, OpenError, block_name, page_name, place_of, place_of_page};
 use crate::error::SourceError;
 use crate::model::{Model, ModelReader};
 use crate::units::{BlockId, Bytes};
@@ -121,6 +121,17 @@ impl BlockSource for DiskSource {
         let (offset, length) = place_of(&self.model, block, &self.name)?;
         self.read(offset, length, into)
             .map_err(|error| read_error(error, block_name(block), &self.name, &self.file))
+    }
+
+    fn gives_attributes(&self) -> bool {
+        true
+    }
+
+    fn read_attributes(&self, page: u32, into: &mut Vec<u8>) -> Result<(), SourceError> {
+        into.clear();
+        let (offset, length) = place_of_page(&self.model, page, &self.name)?;
+        self.read(offset, length, into)
+            .map_err(|error| read_error(error, page_name(page), &self.name, &self.file))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{BlockSource, block_name, place_of};
+use super::{BlockSource, block_name, page_name, place_of, place_of_page};
 use crate::error::SourceError;
 use crate::model::{Model, ModelReader};
 use crate::units::BlockId;
@@ -47,6 +47,24 @@ impl BlockSource for MemorySource {
         // The parser has compared the directory with the length of the file, so this does not happen.
         let stored = stored.ok_or_else(|| SourceError::Truncated {
             what: block_name(block),
+            name: NAME.to_owned(),
+            end: self.bytes.len() as u64,
+        })?;
+        into.extend_from_slice(stored);
+        Ok(())
+    }
+
+    fn gives_attributes(&self) -> bool {
+        true
+    }
+
+    fn read_attributes(&self, page: u32, into: &mut Vec<u8>) -> Result<(), SourceError> {
+        into.clear();
+        let (offset, length) = place_of_page(&self.model, page, NAME)?;
+        let stored = usize::try_from(offset).ok().and_then(|start| self.bytes.get(start..)?.get(..length));
+        // The parser has compared the directory with the length of the file, so this does not happen.
+        let stored = stored.ok_or_else(|| SourceError::Truncated {
+            what: page_name(page),
             name: NAME.to_owned(),
             end: self.bytes.len() as u64,
         })?;

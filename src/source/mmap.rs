@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use memmap2::Mmap;
 
-use super::{BlockSource, block_name, place_of};
+use super::{BlockSource, block_name, page_name, place_of, place_of_page};
 use crate::error::SourceError;
 use crate::model::{Model, ModelReader};
 use crate::units::BlockId;
@@ -56,6 +56,24 @@ impl BlockSource for MmapSource {
         // The parser has compared the directory with the length of the map, so this does not happen.
         let stored = stored.ok_or_else(|| SourceError::Truncated {
             what: block_name(block),
+            name: self.name.clone(),
+            end: self.map.len() as u64,
+        })?;
+        into.extend_from_slice(stored);
+        Ok(())
+    }
+
+    fn gives_attributes(&self) -> bool {
+        true
+    }
+
+    fn read_attributes(&self, page: u32, into: &mut Vec<u8>) -> Result<(), SourceError> {
+        into.clear();
+        let (offset, length) = place_of_page(&self.model, page, &self.name)?;
+        let stored = usize::try_from(offset).ok().and_then(|start| self.map.get(start..)?.get(..length));
+        // The parser has compared the directory with the length of the map, so this does not happen.
+        let stored = stored.ok_or_else(|| SourceError::Truncated {
+            what: page_name(page),
             name: self.name.clone(),
             end: self.map.len() as u64,
         })?;

@@ -36,6 +36,21 @@ pub trait BlockSource: Send + Sync {
     /// [`SourceError`]; `into` then holds nothing useful.
     fn read_block(&self, block: BlockId, into: &mut Vec<u8>) -> Result<(), SourceError>;
 
+    /// Whether [`BlockSource::read_attributes`] can give the pages that the model's directory names.
+    fn gives_attributes(&self) -> bool {
+        false
+    }
+
+    /// Reads the stored bytes of page `page` of the attributes into `into` (cleared first; never reallocated if it has the capacity
+    /// [`AttributePages::stored_bytes_max`](crate::model::AttributePages::stored_bytes_max) and what [`BlockSource::buffer_bytes`] has beyond a block).
+    ///
+    /// # Errors
+    /// [`SourceError`]: [`SourceError::NoAttributes`] if there is no such page or this source cannot give any.
+    fn read_attributes(&self, page: u32, into: &mut Vec<u8>) -> Result<(), SourceError> {
+        into.clear();
+        Err(SourceError::NoAttributes { page, name: "this source".to_owned() })
+    }
+
     /// The directory entries of the blocks of `cell`, by number from [`CellEntry::first_block`](crate::model::CellEntry) on, for a
     /// model that is compiled lazily: [`Model::cells`] is not empty. Cuts the cell into these blocks if that was not done yet, which
     /// takes as long as some thousand rays. After it `read_block` can read them; the answer is always the same.
@@ -62,6 +77,22 @@ fn place_of(model: &Model, block: BlockId, name: &str) -> Result<(u64, usize), S
             count: model.block_id_count(),
         }),
     }
+}
+
+/// The place of a page of attributes in the file.
+///
+/// # Errors
+/// [`SourceError::NoAttributes`].
+fn place_of_page(model: &Model, page: u32, name: &str) -> Result<(u64, usize), SourceError> {
+    match model.attributes.entries().get(page as usize).filter(|entry| entry.stored_bytes > 0) {
+        Some(entry) => Ok((entry.offset, entry.stored_bytes as usize)),
+        None => Err(SourceError::NoAttributes { page, name: name.to_owned() }),
+    }
+}
+
+/// What a page of attributes is called in errors.
+fn page_name(page: u32) -> String {
+    format!("page {page} of the attributes")
 }
 
 /// What a block is called in errors.

@@ -54,6 +54,8 @@ impl Ending for KeepCells {
         let mut cells = Vec::with_capacity(records.len() * CELL_RECORD_BYTES);
         records.iter().for_each(|record| record.put(&mut cells));
         let (materials, material_count) = table_bytes(&remains.materials)?;
+        let with_images = remains.materials.iter().any(|record| record.images.is_some());
+        let details_left_out = remains.attributes_left_out || with_images;
         let section = |offset, bytes: &[u8]| Section {
             offset,
             bytes: bytes.len() as u64,
@@ -65,6 +67,7 @@ impl Ending for KeepCells {
             codec: settings.codec,
             precision: decision.precision,
             tolerance_met: decision.tolerance_met,
+            details_left_out,
             error_bound,
             bounds,
             triangle_count: records.iter().map(|record| u64::from(record.triangle_count)).sum(),

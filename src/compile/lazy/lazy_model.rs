@@ -71,6 +71,9 @@ pub struct LazyReport {
     pub blocks: u64,
     /// Length of the working file.
     pub working_bytes: u64,
+    /// Whether the source has texture coordinates, normals or materials with images, which a lazy compile leaves out: the picture
+    /// is not the one of the whole model.
+    pub details_left_out: bool,
     /// Whether the working file was there already, so that the source was not read.
     pub was_reopened: bool,
     /// The time of the first pass, if it was made now: parse, scatter, and, as `write`, the writing of the cells.
@@ -176,8 +179,10 @@ impl LazyModel {
             Ok(model) => return Ok(model),
             Err(working) => working,
         };
-        let mut prepare =
-            |compiler: &mut Compiler<'_>| compiler.set_bucket_triangles(u64::from(options.cell_triangles));
+        let mut prepare = |compiler: &mut Compiler<'_>| {
+            compiler.set_bucket_triangles(u64::from(options.cell_triangles));
+            compiler.leave_attributes_out();
+        };
         let ending = KeepCells::of(working, options);
         read_file(input, output, source, &options.compile, budget, progress, &mut prepare, |compiler| {
             compiler.end(ending)
@@ -204,6 +209,7 @@ impl LazyModel {
         let mut compiler = Compiler::new(output, options.compile.clone(), budget, progress)?;
         compiler.set_source(source);
         compiler.set_bucket_triangles(u64::from(options.cell_triangles));
+        compiler.leave_attributes_out();
         emit(&mut compiler)?;
         compiler.end(KeepCells::of(working, options))
     }
@@ -331,6 +337,7 @@ impl LazyModel {
             triangles_encoded: triangles.sum(),
             blocks: done().map(|cell| cell.entries.len() as u64).sum(),
             working_bytes: self.log.end(),
+            details_left_out: self.contents.header.details_left_out,
             was_reopened: self.was_reopened,
             first_pass: self.first_pass,
             cut,
@@ -490,7 +497,8 @@ pub(super) fn options_hash(options: &CompileOptions, cell_triangles: u32) -> u64
         PrecisionChoice::Float32 => (1, 0),
         PrecisionChoice::Lattice { exponent } => (2, exponent),
     };
-    let mut bytes = vec![options.codec.id(), kind, u8::from(options.skip_not_finite)];
+    let mut bytes =
+        vec![options.codec.id(), kind, u8::from(options.skip_not_finite), u8::from(options.attributes)];
     bytes.extend_from_slice(&exponent.to_le_bytes());
     bytes.extend_from_slice(&options.block_bytes.to_le_bytes());
     bytes.extend_from_slice(&cell_triangles.to_le_bytes());

@@ -22,12 +22,18 @@ impl LazyModel {
     /// Octrees over this model can be used before, meanwhile and after it. If it fails, the working file is as it was.
     ///
     /// # Errors
-    /// [`CompileError`].
+    /// [`CompileError`]; [`CompileError::Limit`] if attributes or images of the source were left out: then the whole model must be compiled, or
+    /// [`CompileOptions::attributes`](crate::compile::CompileOptions) say that they are not wanted.
     pub fn finish(
         &self,
         progress: &mut dyn FnMut(Progress) -> Control,
     ) -> Result<CompileReport, CompileError> {
         let header = &self.contents().header;
+        if header.details_left_out {
+            let reason = "a lazy compile leaves normals, texture coordinates and images out; compile the model as a whole \
+                          (`compile_file`), or set `CompileOptions::attributes` to false";
+            return Err(CompileError::Limit { reason: reason.into() });
+        }
         let start = Moment::now();
         let cut_before = self.cut_time();
         let quota = self.working().quota().clone();
@@ -75,6 +81,8 @@ impl LazyModel {
             degenerate: written.degenerate,
             duplicates: written.duplicates,
             skipped: header.skipped,
+            triangles_with_attributes: 0,
+            attribute_bytes: 0,
             precision: header.precision,
             error_bound: match header.precision {
                 Precision::Float32 => header.error_bound,

@@ -51,13 +51,13 @@ impl Ahead {
     }
 
     /// Has the text of a chunk parsed.
-    pub(super) fn give(&mut self, mut chunk: Chunk, check_digits: bool) {
+    pub(super) fn give(&mut self, mut chunk: Chunk, check_digits: bool, with_attributes: bool) {
         let (sender, turn) = (self.sender.clone(), self.given);
         self.given += 1;
         self.pool.spawn(move || {
             // A panic would end the process here; the calling thread is the one to unwind.
             let parsed = catch_unwind(AssertUnwindSafe(|| {
-                chunk.parse(check_digits);
+                chunk.parse(check_digits, with_attributes);
                 chunk
             }));
             // Nobody waits for it any more if the reader has failed.

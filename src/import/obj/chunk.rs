@@ -6,6 +6,7 @@
 
 use super::fast::{self, Numbering};
 use super::parser::are_digits_kept;
+use crate::import::attributes::Reference;
 use crate::import::polygon::CORNERS_MAX;
 use crate::import::window::PADDING_BYTES;
 
@@ -25,6 +26,14 @@ pub(super) enum RunKind {
     Triangles,
     /// One line with a face of `count` corners.
     Face,
+    /// `count` lines with a triangle each whose corners have attributes.
+    TrianglesWith,
+    /// One line with a face of `count` corners that have attributes.
+    FaceWith,
+    /// `count` lines with a texture coordinate each.
+    Uvs,
+    /// `count` lines with a normal each.
+    Normals,
     /// Anything else, whole statements.
     Other,
 }
@@ -54,13 +63,42 @@ pub(super) struct Chunk {
     pub(super) triangles: Vec<[u32; 3]>,
     /// The corners of the faces that are no triangles, one face after the other.
     pub(super) corners: Vec<u32>,
+    /// The attributes of the corners of triangles and faces that have any, in their order.
+    pub(super) references: Vec<Reference>,
+    pub(super) uvs: Vec<[f32; 2]>,
+    pub(super) normals: Vec<[f32; 3]>,
     face: Vec<u32>,
+    face_references: Vec<Reference>,
 }
 
 impl Chunk {
     /// Parses the text. `check_digits` is false if the file is known to have digits that f32 does not keep.
-    pub(super) fn parse(&mut self, check_digits: bool) {
-        let Chunk { text: data, runs, vertices, kept_count, triangles, corners, face, .. } = self;
+    pub(super) fn parse(&mut self, check_digits: bool, with_attributes: bool) {
+        if with_attributes {
+            self.parse_as::<true>(check_digits)
+        } else {
+            self.parse_as::<false>(check_digits)
+        }
+    }
+
+    fn parse_as<const ATTRIBUTES: bool>(&mut self, check_digits: bool) {
+        let Chunk {
+            text: data,
+            runs,
+            vertices,
+            kept_count,
+            triangles,
+            corners,
+            references,
+            uvs,
+            normals,
+            face,
+            face_references,
+            ..
+        } = self;
+        references.clear();
+        uvs.clear();
+        normals.clear();
         runs.clear();
         vertices.clear();
         triangles.clear();
@@ -82,18 +120,48 @@ impl Chunk {
                     }
                 }
                 (b'f', b' ') => {
-                    if let Some((three, next)) = fast::face(data, at + 2, ANY_VERTEX, face, CORNERS_MAX) {
+                    let parsed = fast::face::<ATTRIBUTES>(
+                        data,
+                        at + 2,
+                        ANY_VERTEX,
+                        face,
+                        face_references,
+                        CORNERS_MAX,
+                    );
+                    if let Some((three, next)) = parsed {
                         at = next;
+                        let is_plain = !ATTRIBUTES || face_references.is_empty();
+                        if !is_plain {
+                            references.extend_from_slice(face_references);
+                        }
                         if face.is_empty() {
                             triangles.push(three);
                             let [a, b, c] = three;
-                            extend(runs, RunKind::Triangles, a.max(b).max(c), at);
+                            let kind = if is_plain { RunKind::Triangles } else { RunKind::TrianglesWith };
+                            extend(runs, kind, a.max(b).max(c), at);
                         } else {
                             corners.extend_from_slice(face);
                             let vertex_max = face.iter().copied().max().unwrap_or(0);
-                            let (kind, count) = (RunKind::Face, face.len() as u32);
+                            let kind = if is_plain { RunKind::Face } else { RunKind::FaceWith };
+                            let count = face.len() as u32;
                             runs.push(Run { kind, count, vertex_max, end: at as u32 });
                         }
+                        continue;
+                    }
+                }
+                (b'v', b't') if ATTRIBUTES && data[at + 2] == b' ' => {
+                    if let Some(([u, v, _], next)) = fast::numbers::<1>(data, at + 3) {
+                        uvs.push([u, v]);
+                        at = next;
+                        extend(runs, RunKind::Uvs, 0, at);
+                        continue;
+                    }
+                }
+                (b'v', b'n') if ATTRIBUTES && data[at + 2] == b' ' => {
+                    if let Some((normal, next)) = fast::numbers::<3>(data, at + 3) {
+                        normals.push(normal);
+                        at = next;
+                        extend(runs, RunKind::Normals, 0, at);
                         continue;
                     }
                 }

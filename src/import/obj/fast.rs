@@ -3,7 +3,9 @@
 //!
 //! The slices are padded with newlines, so that every scan ends.
 
+use crate::import::attributes::Reference;
 use crate::import::number;
+use crate::import::sink::NO_INDEX;
 
 /// Place of the first byte from `at` that is not a blank or a tab.
 #[inline(always)]
@@ -68,50 +70,78 @@ impl Numbering {
 }
 
 /// The rest of an `f` line. Gives the start of the next line; the corners are in `three` where there are three of
-/// them, which is told by an empty `corners`, else in `corners`.
+/// them, which is told by an empty `corners`, else in `corners`. If attributes are `WANTED`, `references` gets those of each corner, or
+/// nothing if no corner names any.
 #[inline(always)]
-pub(super) fn face(
+pub(super) fn face<const WANTED: bool>(
     data: &[u8],
     at: usize,
     numbering: Numbering,
     corners: &mut Vec<u32>,
+    references: &mut Vec<Reference>,
     corners_max: usize,
 ) -> Option<([u32; 3], usize)> {
     corners.clear();
-    let (a, at) = corner(data, skip_blanks(data, at), numbering)?;
-    let (b, at) = corner(data, skip_blanks(data, at), numbering)?;
-    let (c, mut at) = corner(data, skip_blanks(data, at), numbering)?;
+    let (a, first, at) = corner::<WANTED>(data, skip_blanks(data, at), numbering)?;
+    let (b, second, at) = corner::<WANTED>(data, skip_blanks(data, at), numbering)?;
+    let (c, third, mut at) = corner::<WANTED>(data, skip_blanks(data, at), numbering)?;
     let three = [a, b, c];
-    if let Some(next) = line_end(data, at) {
-        return Some((three, next));
+    if WANTED {
+        references.clear();
+        for (place, reference) in [first, second, third].into_iter().enumerate() {
+            note(references, place, reference);
+        }
     }
-    corners.extend_from_slice(&three);
-    loop {
-        let (corner, after) = corner(data, skip_blanks(data, at), numbering)?;
+    let end = line_end(data, at);
+    if end.is_none() {
+        corners.extend_from_slice(&three);
+    }
+    let mut end = end;
+    let next = loop {
+        if let Some(next) = end {
+            break next;
+        }
+        let (corner, reference, after) = corner::<WANTED>(data, skip_blanks(data, at), numbering)?;
         if corners.len() == corners_max {
             return None;
         }
         corners.push(corner);
-        at = after;
-        if let Some(next) = line_end(data, at) {
-            return Some((three, next));
+        if WANTED {
+            note(references, corners.len() - 1, reference);
         }
+        at = after;
+        end = line_end(data, at);
+    };
+    Some((three, next))
+}
+
+/// Takes the attributes of corner number `place`; nothing is written before the first corner that names any.
+#[inline(always)]
+fn note(references: &mut Vec<Reference>, place: usize, reference: Reference) {
+    if reference != [NO_INDEX; 2] || !references.is_empty() {
+        references.resize(place, [NO_INDEX; 2]);
+        references.push(reference);
     }
 }
 
-/// One corner, `a`, `a/b`, `a//c` or `a/b/c`, and the place after it.
+/// One corner, `a`, `a/b`, `a//c` or `a/b/c`, its attributes if they are `WANTED`, and the place after it.
 #[inline(always)]
-fn corner(data: &[u8], at: usize, numbering: Numbering) -> Option<(u32, usize)> {
+fn corner<const WANTED: bool>(
+    data: &[u8],
+    at: usize,
+    numbering: Numbering,
+) -> Option<(u32, Reference, usize)> {
     let negative = *data.get(at)? == b'-';
     let (magnitude, mut at) = integer(data, at + usize::from(negative))?;
     let vertex = numbering.vertex(magnitude, negative)?;
+    let mut reference = [NO_INDEX; 2];
     if data[at] == b'/' {
-        at = reference(data, at + 1)?;
+        (reference[0], at) = attribute::<WANTED>(data, at + 1)?;
         if data[at] == b'/' {
-            at = reference(data, at + 1)?;
+            (reference[1], at) = attribute::<WANTED>(data, at + 1)?;
         }
     }
-    matches!(data[at], b' ' | b'\n' | b'\r' | b'\t').then_some((vertex, at))
+    matches!(data[at], b' ' | b'\n' | b'\r' | b'\t').then_some((vertex, reference, at))
 }
 
 /// A run of one to sixteen digits, and the place after it, which is inside `data`.
@@ -129,12 +159,36 @@ fn integer(data: &[u8], at: usize) -> Option<(u64, usize)> {
     .filter(|(_, at)| *at < data.len())
 }
 
-/// Passes over the index of a texture coordinate or a normal, which may be missing.
+/// The index, from 0, of a texture coordinate or a normal, which may be missing. If it is `WANTED`, one that counts backwards is not
+/// plain.
 #[inline(always)]
-fn reference(data: &[u8], at: usize) -> Option<usize> {
-    let at = at + usize::from(*data.get(at)? == b'-');
+fn attribute<const WANTED: bool>(data: &[u8], at: usize) -> Option<(u32, usize)> {
+    let negative = *data.get(at)? == b'-';
+    let at = at + usize::from(negative);
     match integer(data, at) {
-        Some((_, at)) => Some(at),
-        None => (at < data.len()).then_some(at),
+        Some((_, at)) if !WANTED => Some((NO_INDEX, at)),
+        Some((index @ 1..=0xffff_ffff, at)) if !negative => Some((index as u32 - 1, at)),
+        Some(_) => None,
+        None => (at < data.len() && !(WANTED && negative)).then_some((NO_INDEX, at)),
     }
+}
+
+/// The rest of a `vt` or `vn` line: at least `LEAST` numbers, of which three at most are kept, and up to two more. Gives the start of the
+/// next line.
+#[inline(always)]
+pub(super) fn numbers<const LEAST: usize>(data: &[u8], mut at: usize) -> Option<([f32; 3], usize)> {
+    let mut found = [0.0; 3];
+    for count in 0..5 {
+        if count >= LEAST
+            && let Some(next) = line_end(data, at)
+        {
+            return Some((found, next));
+        }
+        let (number, _, after) = number::scan(data, skip_blanks(data, at))?;
+        if let Some(place) = found.get_mut(count) {
+            *place = number as f32;
+        }
+        at = after;
+    }
+    None
 }

@@ -1,7 +1,7 @@
 //! OBJ: polygonal geometry and materials.
 //!
-//! Read are `v`, `f` (every form), `usemtl` and `mtllib`; `vn`, `vt`, `g`, `o`, `s` and everything else is passed
-//! over. Text may have any encoding. Lines end with LF, CRLF or CR, and `\` before the line end joins a line with
+//! Read are `v`, `f` (every form), `usemtl` and `mtllib`, and `vt` and `vn` if the sink takes attributes; `g`, `o`, `s` and everything
+//! else is passed over. Text may have any encoding. Lines end with LF, CRLF or CR, and `\` before the line end joins a line with
 //! the next (but not in comments).
 
 mod ahead;

@@ -7,6 +7,7 @@ use super::ahead::Ahead;
 use super::chunk::{CHUNK_BYTES, Chunk, RunKind, complete_lines};
 use super::fast::{self, Numbering};
 use crate::error::ImportError;
+use crate::import::attributes::Reference;
 use crate::import::decimal;
 use crate::import::feed::Feed;
 use crate::import::library::Materials;
@@ -34,6 +35,7 @@ pub(super) struct Postponed {
     offset: u64,
     line: u64,
     vertices_above: u64,
+    attributes_above: [u64; 2],
     material: Option<MaterialId>,
 }
 
@@ -50,7 +52,11 @@ pub(super) struct Parser<'a> {
     pub(super) line: u64,
     /// Vertices above that line.
     pub(super) vertices_above: u64,
+    /// Texture coordinates and normals above it, if they are wanted.
+    pub(super) attributes_above: [u64; 2],
     pub(super) corners: Vec<u32>,
+    /// The attributes of the corners.
+    pub(super) references: Vec<Reference>,
     /// A line that continues on the next, joined.
     pub(super) joined: Vec<u8>,
     /// Statements that are known, and the first that is not: to tell OBJ files from others of that extension.
@@ -75,7 +81,9 @@ impl<'a> Parser<'a> {
             postponed: None,
             line: 1,
             vertices_above: 0,
+            attributes_above: [0; 2],
             corners: Vec::new(),
+            references: Vec::new(),
             joined: Vec::new(),
             known_count: 0,
             first_unknown: None,
@@ -109,7 +117,8 @@ impl<'a> Parser<'a> {
         window: &mut Window<'_>,
         postponed: Postponed,
     ) -> Result<(), ImportError> {
-        let Postponed { offset, line, vertices_above, material } = postponed;
+        let Postponed { offset, line, vertices_above, attributes_above, material } = postponed;
+        self.attributes_above = attributes_above;
         self.pass = Pass::Faces;
         self.line = line;
         self.vertices_above = vertices_above;
@@ -122,10 +131,20 @@ impl<'a> Parser<'a> {
     }
 
     /// Sends what is left and gives the report.
-    pub(super) fn finish(self, window: &Window<'_>) -> Result<ImportReport, ImportError> {
+    pub(super) fn finish(mut self, window: &Window<'_>) -> Result<ImportReport, ImportError> {
         if let (0, Some((line, keyword))) = (self.known_count, &self.first_unknown) {
             let reason = format!("`{keyword}` is not an OBJ statement, and there is none in the whole file");
             return Err(self.error(*line, reason));
+        }
+        let (named, there) = (self.feed.attributes_named(), self.feed.attribute_counts());
+        for (kind, what) in ["texture coordinates", "normals"].into_iter().enumerate() {
+            if named[kind] > there[kind] {
+                let text = format!(
+                    "faces name {what} up to {}, but there are {}; corners without are as if they named none",
+                    named[kind], there[kind]
+                );
+                self.feed.report.warn(self.name, None, text);
+            }
         }
         self.feed.finish(window.progress())
     }
@@ -144,7 +163,10 @@ impl<'a> Parser<'a> {
             while !ended && ahead.has_room() {
                 let mut chunk = ahead.spare();
                 match next_chunk(window, &mut chunk) {
-                    Ok(true) => ahead.give(chunk, self.feed.are_digits_kept()),
+                    Ok(true) => {
+                        let (check, with) = (self.feed.are_digits_kept(), self.feed.takes_attributes());
+                        ahead.give(chunk, check, with);
+                    }
                     Ok(false) => ended = true,
                     Err(error) => (ended, fault) = (true, Some(error)),
                 }
@@ -160,6 +182,7 @@ impl<'a> Parser<'a> {
     /// Takes the lines of a chunk.
     fn chunk(&mut self, chunk: &Chunk) -> Result<(), ImportError> {
         let (mut start, mut vertex, mut triangle, mut corner) = (0, 0, 0, 0);
+        let (mut reference, mut uv, mut normal) = (0, 0, 0);
         for run in &chunk.runs {
             let (end, count) = (run.end as usize, run.count as usize);
             // All vertices that a face of the run names have come, and faces are wanted.
@@ -181,8 +204,33 @@ impl<'a> Parser<'a> {
                     self.feed.face(&chunk.corners[corner..corner + count])?;
                     self.line += 1;
                 }
+                RunKind::TrianglesWith if is_known => {
+                    let triangles = &chunk.triangles[triangle..triangle + count];
+                    let references = chunk.references[reference..].as_chunks::<3>().0;
+                    for (three, references) in triangles.iter().zip(references) {
+                        self.feed.triangle_with(*three, *references)?;
+                    }
+                    self.line += u64::from(run.count);
+                }
+                RunKind::FaceWith if is_known => {
+                    let corners = &chunk.corners[corner..corner + count];
+                    self.feed.face_with(corners, &chunk.references[reference..reference + count])?;
+                    self.line += 1;
+                }
+                RunKind::Uvs => {
+                    chunk.uvs[uv..uv + count].iter().try_for_each(|pair| self.uv(*pair))?;
+                    self.line += u64::from(run.count);
+                }
+                RunKind::Normals => {
+                    chunk.normals[normal..normal + count].iter().try_for_each(|one| self.normal(*one))?;
+                    self.line += u64::from(run.count);
+                }
                 // Whole statements: none goes on behind the end.
-                RunKind::Triangles | RunKind::Face | RunKind::Other => {
+                RunKind::Triangles
+                | RunKind::TrianglesWith
+                | RunKind::Face
+                | RunKind::FaceWith
+                | RunKind::Other => {
                     self.lines(&chunk.text, start, end, true, chunk.offset)?;
                 }
             }
@@ -190,6 +238,10 @@ impl<'a> Parser<'a> {
                 RunKind::Vertices => vertex += count,
                 RunKind::Triangles => triangle += count,
                 RunKind::Face => corner += count,
+                RunKind::TrianglesWith => (triangle, reference) = (triangle + count, reference + 3 * count),
+                RunKind::FaceWith => (corner, reference) = (corner + count, reference + count),
+                RunKind::Uvs => uv += count,
+                RunKind::Normals => normal += count,
                 RunKind::Other => {}
             }
             start = end;
@@ -238,14 +290,18 @@ impl<'a> Parser<'a> {
                     }
                 }
                 (b'f', b' ') if self.pass != Pass::Vertices => {
-                    let numbering = self.numbering();
-                    if let Some((three, next)) =
-                        fast::face(data, at + 2, numbering, &mut self.corners, CORNERS_MAX)
-                    {
-                        if self.corners.is_empty() {
-                            self.feed.triangle(three)?;
-                        } else {
-                            self.feed.face(&self.corners)?;
+                    let (numbering, corners) = (self.numbering(), &mut self.corners);
+                    let references = &mut self.references;
+                    let parsed = if self.feed.takes_attributes() {
+                        fast::face::<true>(data, at + 2, numbering, corners, references, CORNERS_MAX)
+                    } else {
+                        fast::face::<false>(data, at + 2, numbering, corners, references, CORNERS_MAX)
+                    };
+                    if let Some((three, next)) = parsed {
+                        match (self.corners.is_empty(), self.references.as_slice()) {
+                            (true, &[a, b, c]) => self.feed.triangle_with(three, [a, b, c])?,
+                            (true, _) => self.feed.triangle(three)?,
+                            (false, _) => self.feed.face_with(&self.corners, &self.references)?,
                         }
                         self.line += 1;
                         at = next;
@@ -271,6 +327,20 @@ impl<'a> Parser<'a> {
         if self.pass == Pass::Faces { Ok(()) } else { self.feed.vertex_text(position, is_kept) }
     }
 
+    /// Takes a texture coordinate.
+    pub(super) fn uv(&mut self, uv: [f32; 2]) -> Result<(), ImportError> {
+        self.attributes_above[0] += 1;
+        self.known_count += 1;
+        if self.pass == Pass::Faces { Ok(()) } else { self.feed.uv(uv) }
+    }
+
+    /// Takes a normal.
+    pub(super) fn normal(&mut self, normal: [f32; 3]) -> Result<(), ImportError> {
+        self.attributes_above[1] += 1;
+        self.known_count += 1;
+        if self.pass == Pass::Faces { Ok(()) } else { self.feed.normal(normal) }
+    }
+
     /// What face indices count from on the current line.
     #[inline(always)]
     pub(super) fn numbering(&self) -> Numbering {
@@ -283,6 +353,7 @@ impl<'a> Parser<'a> {
             offset,
             line,
             vertices_above: self.vertices_above,
+            attributes_above: self.attributes_above,
             material: self.feed.material(),
         });
         self.pass = Pass::Vertices;

@@ -5,6 +5,7 @@ use crate::error::ImportError;
 use crate::import::decimal;
 use crate::import::number;
 use crate::import::polygon::CORNERS_MAX;
+use crate::import::sink::NO_INDEX;
 use crate::import::text::{shown, words};
 
 impl Parser<'_> {
@@ -63,6 +64,7 @@ impl Parser<'_> {
         let keyword = words(text).next().unwrap_or_default();
         let rest = &text[keyword.len()..];
         let counts = self.pass != Pass::Faces;
+        let wants_attributes = self.feed.takes_attributes();
         let ignored = &mut self.feed.report.ignored;
         match keyword {
             b"" => return Ok(()),
@@ -79,6 +81,17 @@ impl Parser<'_> {
             }
             b"mtllib" if self.pass == Pass::Vertices => {}
             b"mtllib" => self.materials.load_named(rest, Some(self.line), &mut self.feed)?,
+            b"vt" if wants_attributes => {
+                // One number is enough: the other is 0 then.
+                let ([u, v, _], _) = self.numbers(rest, "vt", 1)?;
+                self.uv([u, v])?;
+                return Ok(());
+            }
+            b"vn" if wants_attributes => {
+                let (normal, _) = self.numbers(rest, "vn", 3)?;
+                self.normal(normal)?;
+                return Ok(());
+            }
             b"vn" => ignored.normals += u64::from(counts),
             b"vt" => ignored.texture_coordinates += u64::from(counts),
             b"l" | b"p" => ignored.lines_and_points += u64::from(counts),
@@ -115,12 +128,33 @@ impl Parser<'_> {
         }
     }
 
+    /// The numbers of a `vt` or `vn`, at least `least`; what is beyond the third is checked and dropped.
+    fn numbers(&self, rest: &[u8], keyword: &str, least: usize) -> Result<([f32; 3], usize), ImportError> {
+        let mut numbers = [0.0; 3];
+        let mut count = 0;
+        for word in arguments(rest) {
+            let number = number::parse(word)
+                .ok_or_else(|| self.error(self.line, format!("`{}` is not a number", shown(word))))?;
+            if let Some(place) = numbers.get_mut(count) {
+                *place = number as f32;
+            }
+            count += 1;
+        }
+        if count >= least {
+            return Ok((numbers, count));
+        }
+        let reason = format!("`{keyword}` with {count} numbers; {least} are needed");
+        Err(self.error(self.line, reason))
+    }
+
     /// Takes an `f`.
     fn face(&mut self, rest: &[u8], offset: u64) -> Result<(), ImportError> {
         let numbering = self.numbering();
         self.corners.clear();
+        self.references.clear();
+        let mut has_references = false;
         for word in arguments(rest) {
-            let index = corner(word).ok_or_else(|| {
+            let (index, attributes) = corner(word).ok_or_else(|| {
                 let reason = "is not a corner of a face (a, a/b, a//c or a/b/c)";
                 self.error(self.line, format!("`{}` {reason}", shown(word)))
             })?;
@@ -144,8 +178,17 @@ impl Parser<'_> {
                 return Err(self.error(self.line, reason));
             }
             self.corners.push(vertex);
+            if self.feed.takes_attributes() {
+                let above = self.attributes_above;
+                let reference = [0, 1].map(|kind| attribute(attributes[kind], above[kind]));
+                has_references |= reference != [NO_INDEX; 2];
+                self.references.push(reference);
+            }
         }
-        self.feed.face(&self.corners)
+        if !has_references {
+            self.references.clear();
+        }
+        self.feed.face_with(&self.corners, &self.references)
     }
 }
 
@@ -154,13 +197,25 @@ fn arguments(text: &[u8]) -> impl Iterator<Item = &[u8]> {
     words(text).take_while(|word| !word.starts_with(b"#"))
 }
 
-/// The vertex index of a corner; the other indices must be whole numbers or missing.
-fn corner(word: &[u8]) -> Option<i64> {
+/// The vertex index of a corner, and those of its attributes, 0 if they are missing; all must be whole numbers.
+fn corner(word: &[u8]) -> Option<(i64, [i64; 2])> {
     let mut parts = word.split(|byte| *byte == b'/');
     let index = integer(parts.next()?)?;
-    let references_fit =
-        parts.clone().count() <= 2 && parts.all(|part| part.is_empty() || integer(part).is_some());
-    references_fit.then_some(index)
+    let mut attributes = [0; 2];
+    for (place, part) in attributes.iter_mut().zip(&mut parts) {
+        *place = if part.is_empty() { 0 } else { integer(part)? };
+    }
+    parts.next().is_none().then_some((index, attributes))
+}
+
+/// The attribute of a 1-based or negative index; none if it is 0, or counts back beyond the first of the `above`.
+fn attribute(index: i64, above: u64) -> u32 {
+    let found = match index {
+        0 => None,
+        1.. => Some(index as u64 - 1),
+        _ => above.checked_sub(index.unsigned_abs()),
+    };
+    found.and_then(|index| u32::try_from(index).ok()).unwrap_or(NO_INDEX)
 }
 
 /// A decimal integer of at most 18 digits.

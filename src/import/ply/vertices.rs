@@ -1,6 +1,6 @@
 //! The element `vertex`.
 
-use super::header::{Element, Encoding, Kind, Scalar};
+use super::header::{Element, Encoding, Kind, Property, Scalar};
 use super::values::Values;
 use crate::error::ImportError;
 use crate::import::feed::Feed;
@@ -15,22 +15,40 @@ pub(super) fn read(
     if element.count > 1 << 32 {
         return Err(values.error(format!("{} vertices; at most 2^32 can be indexed", element.count)));
     }
-    note_ignored(element, feed);
+    let attributes = if feed.takes_attributes() { Attributes::of(element) } else { Attributes::default() };
+    feed.name_attributes_by_vertex(attributes.uv.is_some(), attributes.normal.is_some());
+    note_ignored(element, &attributes, feed);
     let mut left = element.count;
-    if let Some(layout) = PositionLayout::of(values.encoding(), element, axes) {
+    // Records with attributes are read value by value.
+    if !attributes.is_any()
+        && let Some(layout) = PositionLayout::of(values.encoding(), element, axes)
+    {
         left -= layout.read(values, left, feed)?;
     }
     let is_text = values.encoding() == Encoding::Ascii;
     let exact_in_f32 = !is_text && axes.iter().all(|axis| axis.1.fits_f32());
     for _ in 0..left {
         let mut position = [0.0; 3];
+        let (mut uv, mut normal) = ([0.0; 2], [0.0; 3]);
         let mut is_kept = feed.are_digits_kept();
         for (index, property) in element.properties.iter().enumerate() {
             match axes.iter().position(|axis| axis.0 == index) {
                 Some(axis) if is_text => position[axis] = values.text_float(&mut is_kept)?,
                 Some(axis) => position[axis] = values.float(axes[axis].1)?,
-                None => values.skip_property(property.kind)?,
+                None => match (attributes.place_of(index), property.kind) {
+                    (Some(Place::Uv(axis)), Kind::Scalar(scalar)) => uv[axis] = values.float(scalar)? as f32,
+                    (Some(Place::Normal(axis)), Kind::Scalar(scalar)) => {
+                        normal[axis] = values.float(scalar)? as f32;
+                    }
+                    _ => values.skip_property(property.kind)?,
+                },
             }
+        }
+        if attributes.uv.is_some() {
+            feed.uv(uv)?;
+        }
+        if attributes.normal.is_some() {
+            feed.normal(normal)?;
         }
         if exact_in_f32 {
             feed.vertex32(position.map(|value| value as f32))?;
@@ -56,14 +74,56 @@ fn axes(element: &Element) -> Result<[(usize, Scalar); 3], String> {
     Ok(axes)
 }
 
-/// Counts what the records hold besides positions.
-fn note_ignored(element: &Element, feed: &mut Feed<'_>) {
+/// Which properties are attributes, as indices.
+#[derive(Clone, Copy, Debug, Default)]
+struct Attributes {
+    uv: Option<[usize; 2]>,
+    normal: Option<[usize; 3]>,
+}
+
+/// Where a property goes.
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    Uv(usize),
+    Normal(usize),
+}
+
+impl Attributes {
+    /// The first names that are all there, as numbers.
+    fn of(element: &Element) -> Attributes {
+        let index = |name: &str| {
+            let is_it =
+                |property: &Property| property.name == name && matches!(property.kind, Kind::Scalar(_));
+            element.properties.iter().position(is_it)
+        };
+        let uv = |[u, v]: [&str; 2]| Some([index(u)?, index(v)?]);
+        let normal = |[x, y, z]: [&str; 3]| Some([index(x)?, index(y)?, index(z)?]);
+        let uv_names = [["u", "v"], ["s", "t"], ["texture_u", "texture_v"], ["texture_s", "texture_t"]];
+        let normal_names = [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"]];
+        Attributes {
+            uv: uv_names.into_iter().find_map(uv),
+            normal: normal_names.into_iter().find_map(normal),
+        }
+    }
+
+    fn is_any(&self) -> bool {
+        self.uv.is_some() || self.normal.is_some()
+    }
+
+    fn place_of(&self, index: usize) -> Option<Place> {
+        let uv = self.uv.and_then(|uv| uv.iter().position(|at| *at == index)).map(Place::Uv);
+        uv.or_else(|| self.normal?.iter().position(|at| *at == index).map(Place::Normal))
+    }
+}
+
+/// Counts what the records hold besides positions, and the attributes that are taken.
+fn note_ignored(element: &Element, attributes: &Attributes, feed: &mut Feed<'_>) {
     let has = |names: &[&str]| element.properties.iter().any(|p| names.contains(&p.name.as_str()));
     let ignored = &mut feed.report.ignored;
-    if has(&["nx", "normal_x"]) {
+    if attributes.normal.is_none() && has(&["nx", "normal_x"]) {
         ignored.normals += element.count;
     }
-    if has(&["u", "s", "texture_u", "texture_s"]) {
+    if attributes.uv.is_none() && has(&["u", "s", "texture_u", "texture_s"]) {
         ignored.texture_coordinates += element.count;
     }
     if has(&["red", "diffuse_red", "r"]) {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::import::mtl;
 use crate::import::report::ImportReport;
-use crate::model::MaterialRecord;
+use crate::model::{ImageMap, MaterialRecord};
 
 /// Reads a library; warnings without the path.
 fn library(text: &[u8]) -> (Vec<MaterialRecord>, Vec<String>) {
@@ -13,7 +13,7 @@ fn library(text: &[u8]) -> (Vec<MaterialRecord>, Vec<String>) {
     std::fs::write(&path, text).unwrap();
     let mut report = ImportReport::default();
     let mut records = Vec::new();
-    mtl::read(&path, &mut report, &mut |record| {
+    mtl::read(&path, None, &mut report, &mut |record| {
         records.push(record);
         true
     })
@@ -43,6 +43,7 @@ fn statements() {
             transmission: [0.9, 0.8, 0.7],
             refractive_index: 1.5,
             mirror: true,
+            images: None,
         }
     );
     assert_eq!(
@@ -86,5 +87,41 @@ fn broken_statements_cost_only_themselves() {
 #[test]
 fn a_missing_library_is_an_error_of_the_system() {
     let mut report = ImportReport::default();
-    assert!(mtl::read(Path::new("no such file.mtl"), &mut report, &mut |_| true).is_err());
+    assert!(mtl::read(Path::new("no such file.mtl"), None, &mut report, &mut |_| true).is_err());
+}
+
+#[test]
+fn images_are_found_and_placed() {
+    let place = tempfile::tempdir().unwrap();
+    let (folder, library) = (place.path(), place.path().join("sub/a.mtl"));
+    std::fs::create_dir(folder.join("sub")).unwrap();
+    for name in ["sub/wood grain.png", "sub/b.png"] {
+        std::fs::write(folder.join(name), "").unwrap();
+    }
+    let text = "newmtl a\nmap_Kd -s 2 3 1 -o 0.5 -clamp on wood grain.png\nmap_Bump -bm 0.25 b.png\n\
+        newmtl b\nmap_Ks C:\\work\\b.png\nmap_d -imfchan m b.png\nnorm b.png\nmap_Ka b.png\n\
+        newmtl c\nmap_Kd missing.png\nmap_Ks -s 1 1\n";
+    std::fs::write(&library, text).unwrap();
+    let (mut report, mut records) = (ImportReport::default(), Vec::new());
+    mtl::read(&library, Some(folder), &mut report, &mut |record| {
+        records.push(record);
+        true
+    })
+    .unwrap();
+    let images: Vec<_> = records.iter().map(|record| record.images.as_deref()).collect();
+    let [Some(a), Some(b), None] = images[..] else { panic!("{images:?}") };
+    let b_png = || ImageMap::new("sub/b.png");
+    let wood = ImageMap {
+        scale: [2.0, 3.0],
+        offset: [0.5, 0.0],
+        clamp: true,
+        ..ImageMap::new("sub/wood grain.png")
+    };
+    assert_eq!(a.diffuse, Some(wood));
+    assert_eq!(a.bump, Some(ImageMap { strength: 0.25, ..b_png() }));
+    assert_eq!([&b.specular, &b.opacity, &b.normal], [&Some(b_png()), &Some(b_png()), &Some(b_png())]);
+    let warnings: Vec<_> = report.warnings.iter().map(|warning| warning.text.as_str()).collect();
+    assert_eq!(warnings.len(), 3, "{warnings:?}");
+    assert!(warnings[0].contains("`missing.png` is not there") && warnings[1].contains("without an image"));
+    assert!(warnings[2].contains("1 texture statements are left out"));
 }

@@ -30,7 +30,14 @@ pub(super) fn encode(film: &Film, layers: &Layers, out: &mut (impl Write + Seek)
         ("triangle.high", whole(&|pixel| (pixel.triangle.0 >> 32) as u32)),
         ("material", whole(&|pixel| u32::from(pixel.material.0))),
     ];
-    let channels = channels.into_iter().map(|(name, samples)| AnyChannel::new(name, samples));
+    let statistics = film.statistics().unwrap_or_default();
+    let of_samples = [
+        ("samples", FlatSamples::U32(statistics.iter().map(|pixel| pixel.samples).collect())),
+        ("deviation", FlatSamples::F32(statistics.iter().map(|pixel| pixel.deviation).collect())),
+    ];
+    let of_samples = of_samples.into_iter().filter(|_| !statistics.is_empty());
+    let channels =
+        channels.into_iter().chain(of_samples).map(|(name, samples)| AnyChannel::new(name, samples));
     let size = (film.width() as usize, film.height() as usize);
     let encoding = Encoding {
         compression: Compression::ZIP16,

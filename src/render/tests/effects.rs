@@ -1,8 +1,10 @@
 //! Every effect: absent at no cost, present to effect, and the same picture however much is forced.
 
 use super::*;
+use crate::model::{ImageMap, MaterialImages};
 use crate::render::EffectCounters;
 use crate::scene::{Effect, EffectSet, Environment, EnvironmentImage, Finish, Lens, Light, LightShape};
+use crate::texture::{Encoding, ImageKey, PixelImage, Textures};
 
 /// A room with something of each kind, described by one material per body.
 pub(super) struct Case {
@@ -44,6 +46,50 @@ fn sunny() -> Scene {
         .with_light(Light::directional([0.3, -1.0, -0.4], [0.5, 0.45, 0.4]))
 }
 
+/// A chequer of 8 x 8 squares on 64 x 64 texels; a disc of which the rest is not there; waves, as heights and as normals.
+pub(super) fn pictures() -> Arc<Textures> {
+    let image = |texel: &dyn Fn(u32, u32) -> [u8; 4]| PixelImage {
+        width: 64,
+        height: 64,
+        texels: (0..64 * 64).map(|index| texel(index % 64, index / 64)).collect(),
+    };
+    let key = |name: &str, encoding| ImageKey { path: name.into(), encoding };
+    let chequer = |x: u32, y: u32| {
+        if (x / 8 + y / 8).is_multiple_of(2) { [240, 200, 60, 255] } else { [20, 60, 160, 255] }
+    };
+    let is_in = |x: u32, y: u32| (x as i32 - 32).pow(2) + (y as i32 - 32).pow(2) < 26 * 26;
+    let disc = |x, y| if is_in(x, y) { [60, 160, 40, 255] } else { [255, 0, 255, 0] };
+    let wave = |x: u32| (127.5 + 127.5 * (f64::from(x) / 64.0 * std::f64::consts::TAU * 3.0).sin()) as u8;
+    Textures::in_memory([
+        (key("chequer", Encoding::Srgb), image(&chequer)),
+        (key("disc", Encoding::Srgb), image(&disc)),
+        (key("mask", Encoding::Linear), image(&|x, y| [if is_in(x, y) { 255 } else { 0 }; 4])),
+        (key("waves", Encoding::Linear), image(&|x, _| [wave(x), wave(x), wave(x), 255])),
+        (key("dents", Encoding::Linear), image(&|x, y| [wave(x), wave(y), 230, 255])),
+    ])
+    .unwrap()
+}
+
+pub(super) fn with_images(record: MaterialRecord, images: MaterialImages) -> MaterialRecord {
+    MaterialRecord { images: Some(Box::new(images)), ..record }
+}
+
+/// A ground and two upright cards of these materials, all with texture coordinates.
+fn cards(materials: [MaterialRecord; 3]) -> Mesh {
+    Mesh::new(materials)
+        .card(0, [-5.0, -1.0, -5.0], [0.0, 0.0, 10.0], [10.0, 0.0, 0.0], 6.0)
+        .card(1, [-1.5, -1.0, -0.5], [2.0, 0.0, 0.3], [0.0, 2.0, 0.0], 1.0)
+        .card(2, [-0.5, -1.0, 0.5], [2.0, 0.0, -0.3], [0.0, 2.0, 0.0], 2.0)
+}
+
+/// Two coarse spheres on a ground, the first with normals.
+fn spheres([first, second]: [MaterialRecord; 2]) -> Mesh {
+    Mesh::new([matt(0.5), first, second])
+        .sheet(0, [-5.0, -1.0, -5.0], [0.0, 0.0, 10.0], [10.0, 0.0, 0.0])
+        .sphere(1, [-0.7, 0.0, 0.0], 0.8, 1, true)
+        .sphere(2, [0.9, 0.0, -0.3], 0.8, 1, true)
+}
+
 pub(super) fn panel() -> Light {
     let shape =
         LightShape::Rectangle { corner: [-1.0, 3.0, -1.0], edges: [[2.0, 0.0, 0.0], [0.0, 0.0, 2.0]] };
@@ -69,7 +115,48 @@ pub(super) fn cases() -> Vec<Case> {
     let lens = Lens { radius: 0.2, focus_distance: 5.0 };
     let end = Camera::pinhole([1.3, 1.5, 6.0], [0.2, 0.0, 0.0], [0.0, 1.0, 0.0], 35.0).unwrap();
     let case = |effect, mesh, scene| Case { effect, mesh, scene, settings: settings() };
+    let diffuse =
+        |name: &str| MaterialImages { diffuse: Some(ImageMap::new(name)), ..MaterialImages::default() };
+    let mask = || MaterialImages { opacity: Some(ImageMap::new("mask")), ..MaterialImages::default() };
+    let waves = || MaterialImages { bump: Some(ImageMap::new("waves")), ..MaterialImages::default() };
+    let dents = || MaterialImages { normal: Some(ImageMap::new("dents")), ..MaterialImages::default() };
+    let shiny = || MaterialRecord { specular: [0.5; 3], shininess: 20.0, mirror: true, ..matt(0.4) };
+    let specular = || MaterialImages { specular: Some(ImageMap::new("chequer")), ..diffuse("chequer") };
     vec![
+        case(
+            Effect::Textures,
+            cards([with_images(matt(0.8), diffuse("chequer")), matt(0.5), with_images(shiny(), specular())]),
+            sunny().with_textures(pictures()),
+        ),
+        case(
+            Effect::Textures,
+            cards([with_images(matt(0.8), diffuse("chequer")), glass(), chrome()]),
+            sunny()
+                .with_light(panel())
+                .with_environment(sky())
+                .with_interreflection()
+                .with_finish("chrome", Finish::rough(0.4))
+                .with_textures(pictures()),
+        ),
+        case(
+            Effect::AlphaCutouts,
+            cards([matt(0.5), with_images(matt(0.8), diffuse("disc")), with_images(mirror(0.7), mask())]),
+            sunny().with_textures(pictures()),
+        ),
+        case(
+            Effect::AlphaCutouts,
+            cards([matt(0.5), with_images(clear(1.0), mask()), with_images(clear(1.4), mask())]),
+            sunny().with_light(panel()).with_interreflection().with_textures(pictures()),
+        ),
+        case(
+            Effect::BumpMaps,
+            cards([
+                with_images(matt(0.8), waves()),
+                with_images(shiny(), dents()),
+                with_images(clear(1.5), waves()),
+            ]),
+            sunny().with_light(panel()).with_textures(pictures()),
+        ),
         case(Effect::DirectLight, bricks(), sunny()),
         case(Effect::Shadows, bricks(), sunny()),
         case(Effect::AreaLight, bricks(), Scene::new(camera()).with_light(panel())),
@@ -114,6 +201,12 @@ pub(super) fn cases() -> Vec<Case> {
             settings: RenderSettings { samples_per_pixel: 4, ..settings() },
             ..case(Effect::Antialiasing, bricks(), sunny())
         },
+        case(Effect::SmoothNormals, spheres([matt(0.6), matt(0.4)]), sunny()),
+        case(
+            Effect::SmoothNormals,
+            spheres([chrome(), glass()]),
+            sunny().with_light(panel()).with_environment(sky()).with_interreflection(),
+        ),
     ]
 }
 
@@ -133,6 +226,10 @@ fn work_of(effect: Effect, counters: &EffectCounters) -> Option<u64> {
         Effect::Interreflection => counters.bounce_rays,
         Effect::DepthOfField => counters.lens_rays,
         Effect::MotionBlur => counters.shutter_rays,
+        Effect::SmoothNormals => counters.smooth_hits,
+        Effect::Textures => counters.texture_reads,
+        Effect::AlphaCutouts => counters.cutout_tests + counters.cutouts_passed + counters.cutout_rays,
+        Effect::BumpMaps => counters.bump_reads,
     })
 }
 
@@ -160,8 +257,7 @@ fn every_effect_has_a_scene() {
 #[test]
 fn an_effect_works_only_in_scenes_that_call_for_it() {
     for case in cases() {
-        let plan =
-            EffectPlan::of_materials(&case.scene, &case.mesh.materials, &case.settings.effect_options());
+        let plan = case.mesh.plan(&case.scene, &case.settings);
         assert!(plan.has(case.effect), "{}", plan.explain());
         let counters = render(&case.mesh, &case.scene, &case.settings).totals.effects;
         for effect in Effect::ALL {
@@ -173,6 +269,9 @@ fn an_effect_works_only_in_scenes_that_call_for_it() {
         let draws = Effect::ALL.into_iter().any(|effect| is_sampled(effect) && plan.has(effect));
         assert_eq!(counters.random_numbers > 0, draws, "{:?}: {counters:?}", case.effect);
         assert_eq!((counters.forced_rays, counters.medium_overflows), (0, 0));
+        let details = [Effect::SmoothNormals, Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
+        let needs_attributes = details.into_iter().any(|effect| plan.has(effect));
+        assert_eq!(counters.attribute_lookups > 0, needs_attributes, "{:?}: {counters:?}", case.effect);
     }
 }
 
@@ -234,7 +333,7 @@ fn tiles_batches_and_threads_do_not_show_in_sampled_effects() {
 fn the_seed_shows_exactly_where_luck_has_a_part() {
     for case in cases() {
         let settings = RenderSettings { samples_per_pixel: 1, ..case.settings };
-        let plan = EffectPlan::of_materials(&case.scene, &case.mesh.materials, &settings.effect_options());
+        let plan = case.mesh.plan(&case.scene, &settings);
         let draws = Effect::ALL.into_iter().any(|effect| is_sampled(effect) && plan.has(effect));
         let [a, b] = [1, 2].map(|seed| {
             let film = render(&case.mesh, &case.scene, &RenderSettings { seed, ..settings }).film;

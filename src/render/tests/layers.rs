@@ -7,8 +7,9 @@ use super::*;
 use crate::render::layers::{Layers, layers};
 
 fn layers_of(mesh: &Mesh, scene: &Scene, settings: &RenderSettings) -> Layers {
-    let plan = EffectPlan::of_materials(scene, &mesh.materials, &settings.effect_options());
-    let stage = Stage::new(scene, &mesh.materials, &plan, settings);
+    let plan = mesh.plan(scene, settings);
+    let mut stage = Stage::new(scene, &mesh.materials, &plan, settings);
+    open_textures(&mut stage, scene);
     let mut query =
         Naive { mesh: Arc::new(mesh.clone()), counters: TraceCounters::default(), rays_left: u64::MAX };
     layers(&stage, &MemoryBudget::new(Bytes::mib(16)), &mut query, &mut |_| Control::Continue).unwrap()
@@ -75,4 +76,46 @@ fn layers_are_written_and_read_back() {
     assert!(found.write(&picture.film, &folder.path().join("layers.png")).is_err());
     let small = render(&mesh, &scene, &RenderSettings::new(3, 3));
     assert!(matches!(found.write(&small.film, &path), Err(RenderError::Setting { .. })));
+}
+
+#[test]
+fn a_film_with_statistics_adds_its_samples() {
+    let (mesh, scene) = still_life();
+    let settings = RenderSettings { keep_statistics: true, samples_per_pixel: 4, ..settings() };
+    let picture = render(&mesh, &scene, &settings);
+    let found = layers_of(&mesh, &scene, &settings);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("layers.exr");
+    found.write(&picture.film, &path).unwrap();
+    let image = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_file(&path)
+        .unwrap();
+    let channels = &image.layer_data.channel_data.list;
+    assert_eq!(channels.len(), 15);
+    let samples = channels.iter().find(|channel| channel.name.eq("samples")).unwrap();
+    let FlatSamples::U32(samples) = &samples.sample_data else { panic!("not whole") };
+    assert!(samples.iter().all(|count| *count == 4));
+}
+
+#[test]
+fn layers_see_pictures_and_holes() {
+    use super::effects::{pictures, with_images};
+    use crate::model::{ImageMap, MaterialImages};
+    let disc = MaterialImages { diffuse: Some(ImageMap::new("disc")), ..MaterialImages::default() };
+    let mesh = Mesh::new([with_images(matt(0.5), disc), matt(0.25)])
+        .card(0, [-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], 1.0)
+        .sheet(1, [-1.0, -1.0, -1.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]);
+    let scene = Scene::new(straight_camera()).with_textures(pictures());
+    let found = layers_of(&mesh, &scene, &RenderSettings::new(16, 16));
+    let [corner, middle] = [0, 8 * 16 + 8].map(|index| found.pixels()[index].unwrap());
+    assert_eq!((corner.material, corner.depth, corner.albedo), (MaterialId(1), 6.0, [0.25; 3]));
+    assert_eq!((middle.material, middle.depth), (MaterialId(0), 5.0));
+    // 160 of 255 in sRGB, halved.
+    assert!((middle.albedo[1] - 0.5 * 0.3515).abs() < 0.005, "{:?}", middle.albedo);
 }

@@ -2,6 +2,7 @@
 //! without octree, cache or blocks.
 
 mod adaptive;
+mod detail;
 mod effects;
 mod invariance;
 #[cfg(feature = "exr")]
@@ -20,13 +21,17 @@ use super::query::RayQuery;
 use super::renderer::{Picture, picture};
 use super::settings::RenderSettings;
 use super::stage::Stage;
+use glam::DVec3;
+
+use crate::block::attributes::CornerAttributes;
 use crate::budget::MemoryBudget;
 use crate::compile::{Control, Threads};
 use crate::error::{LoadError, RenderError, SourceError, TraceError};
 use crate::geom::{Ray, intersect_certified};
 use crate::model::MaterialRecord;
-use crate::scene::{Camera, EffectPlan, Scene};
+use crate::scene::{AttributeKinds, Camera, EffectPlan, Scene};
 use crate::stats::TraceCounters;
+use crate::texture::TextureCache;
 use crate::trace::{Hit, MaterialSet, Occlusion};
 use crate::units::{BlockId, Bytes, MaterialId, TriangleId};
 
@@ -35,11 +40,73 @@ use crate::units::{BlockId, Bytes, MaterialId, TriangleId};
 struct Mesh {
     triangles: Vec<([[f64; 3]; 3], u16)>,
     materials: Vec<MaterialRecord>,
+    /// By triangle; those behind the last have none.
+    attributes: Vec<CornerAttributes>,
 }
 
 impl Mesh {
     fn new(materials: impl IntoIterator<Item = MaterialRecord>) -> Mesh {
-        Mesh { triangles: Vec::new(), materials: materials.into_iter().collect() }
+        Mesh { materials: materials.into_iter().collect(), ..Mesh::default() }
+    }
+
+    fn kinds(&self) -> AttributeKinds {
+        AttributeKinds {
+            uvs: self.attributes.iter().any(|attributes| attributes.uvs.is_some()),
+            normals: self.attributes.iter().any(|attributes| attributes.normals.is_some()),
+        }
+    }
+
+    fn plan(&self, scene: &Scene, settings: &RenderSettings) -> EffectPlan {
+        EffectPlan::of_parts(scene, &self.materials, self.kinds(), &settings.effect_options())
+    }
+
+    /// A triangle whose corners have these attributes.
+    fn triangle(mut self, material: u16, corners: [[f64; 3]; 3], attributes: CornerAttributes) -> Mesh {
+        self.attributes.resize(self.triangles.len(), CornerAttributes::default());
+        self.triangles.push((corners, material));
+        self.attributes.push(attributes);
+        self
+    }
+
+    /// [`Mesh::sheet`] with texture coordinates from 0 to `repeats` along `a` and `b`.
+    fn card(self, material: u16, corner: [f64; 3], a: [f64; 3], b: [f64; 3], repeats: f32) -> Mesh {
+        let add = |p: [f64; 3], q: [f64; 3]| [0, 1, 2].map(|axis| p[axis] + q[axis]);
+        let (along, far, across) = (add(corner, a), add(add(corner, a), b), add(corner, b));
+        let r = repeats;
+        let uvs = |uvs| CornerAttributes { uvs: Some(uvs), normals: None };
+        self.triangle(material, [corner, along, far], uvs([[0.0, 0.0], [r, 0.0], [r, r]])).triangle(
+            material,
+            [corner, far, across],
+            uvs([[0.0, 0.0], [r, r], [0.0, r]]),
+        )
+    }
+
+    /// An octahedron around the origin whose faces are cut `depth` times in four, pushed out to `radius`; `is_smooth` gives it the
+    /// normals of the sphere.
+    fn sphere(mut self, material: u16, center: [f64; 3], radius: f64, depth: u32, is_smooth: bool) -> Mesh {
+        fn cut(corners: [DVec3; 3], depth: u32, out: &mut Vec<[DVec3; 3]>) {
+            let [a, b, c] = corners;
+            if depth == 0 {
+                return out.push(corners);
+            }
+            let [d, e, f] = [(a + b).normalize(), (b + c).normalize(), (c + a).normalize()];
+            for part in [[a, d, f], [d, b, e], [f, e, c], [d, e, f]] {
+                cut(part, depth - 1, out);
+            }
+        }
+        let mut faces = Vec::new();
+        for signs in 0..8 {
+            let sign = |axis: usize| if signs >> axis & 1 == 1 { -1.0 } else { 1.0 };
+            let [x, y, z] = [DVec3::X * sign(0), DVec3::Y * sign(1), DVec3::Z * sign(2)];
+            let is_even = sign(0) * sign(1) * sign(2) > 0.0;
+            cut(if is_even { [x, y, z] } else { [y, x, z] }, depth, &mut faces);
+        }
+        for face in faces {
+            let corners = face.map(|corner| (DVec3::from_array(center) + corner * radius).to_array());
+            let normals = is_smooth.then(|| face.map(|corner| corner.to_array()));
+            self = self.triangle(material, corners, CornerAttributes { normals, uvs: None });
+        }
+        self
     }
 
     /// A parallelogram at `corner` spanned by `a` and `b`, cut along its diagonal; its front faces `a` x `b`.
@@ -166,8 +233,22 @@ impl RayQuery for Naive {
         Ok(())
     }
 
+    fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {
+        Ok(self.mesh.attributes.get(triangle.0 as usize).copied().unwrap_or_default())
+    }
+
     fn counters(&self) -> TraceCounters {
         self.counters
+    }
+}
+
+/// Gives a stage the pictures of its scene.
+fn open_textures(stage: &mut Stage, scene: &Scene) {
+    if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
+        let budget = MemoryBudget::new(Bytes::mib(64));
+        let readers = 4;
+        let cache = TextureCache::open(Arc::clone(textures), Bytes(0), readers, &budget).unwrap();
+        stage.textures = Some(Arc::new(cache));
     }
 }
 
@@ -179,8 +260,9 @@ fn render_until(
     rays_left: u64,
     progress: &mut (dyn FnMut(super::Progress) -> Control + Send),
 ) -> Result<Picture, RenderError> {
-    let plan = EffectPlan::of_materials(scene, &mesh.materials, &settings.effect_options());
-    let stage = Stage::new(scene, &mesh.materials, &plan, settings);
+    let plan = mesh.plan(scene, settings);
+    let mut stage = Stage::new(scene, &mesh.materials, &plan, settings);
+    open_textures(&mut stage, scene);
     let mesh = Arc::new(mesh.clone());
     let budget = MemoryBudget::new(Bytes::mib(64));
     let naive = || Ok(Naive { mesh: mesh.clone(), counters: TraceCounters::default(), rays_left });

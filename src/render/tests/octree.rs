@@ -7,8 +7,9 @@ use super::invariance::{settings, still_life};
 use super::*;
 use crate::LazyOctree;
 use crate::block::Codec;
+use crate::block::attributes::{normal_bits, normal_of_bits};
 use crate::compile::{CompileOptions, Compiler, PrecisionChoice};
-use crate::import::{MeshSink, VertexBatch};
+use crate::import::{CornerIndices, MeshSink, NO_INDEX, VertexBatch};
 use crate::octree::OctreeOptions;
 use crate::render::{Outcome, Renderer};
 use crate::scene::{Effect, EffectSet};
@@ -27,9 +28,27 @@ fn compile(mesh: &Mesh, path: &Path, block_bytes: u32, codec: Codec) {
     let mut compiler = Compiler::new(path, options, &budget, &mut progress).unwrap();
     let ids: Vec<MaterialId> =
         mesh.materials.iter().map(|record| compiler.material(record.clone()).unwrap()).collect();
+    let (mut uv_count, mut normal_count) = (0, 0);
     for ((vertices, material), first) in mesh.triangles.iter().zip((0u32..).step_by(3)) {
         compiler.vertices(VertexBatch::Float64(vertices)).unwrap();
-        compiler.triangles(&[[first, first + 1, first + 2]], ids[usize::from(*material)]).unwrap();
+        let (triangle, id) = ([[first, first + 1, first + 2]], ids[usize::from(*material)]);
+        let Some(attributes) = mesh.attributes.get(first as usize / 3) else {
+            compiler.triangles(&triangle, id).unwrap();
+            continue;
+        };
+        let mut corners = [[NO_INDEX; 3]; 2];
+        if let Some(values) = &attributes.uvs {
+            corners[0] = [0, 1, 2].map(|corner| uv_count + corner);
+            uv_count += 3;
+            compiler.texture_coordinates(values).unwrap();
+        }
+        if let Some(values) = attributes.normals {
+            corners[1] = [0, 1, 2].map(|corner| normal_count + corner);
+            normal_count += 3;
+            compiler.normals(&values.map(|normal| normal.map(|x| x as f32))).unwrap();
+        }
+        let corners = CornerIndices { uvs: Some(&corners[..1]), normals: Some(&corners[1..]) };
+        compiler.triangles_with_attributes(&triangle, corners, id).unwrap();
     }
     compiler.finish().unwrap();
 }
@@ -108,6 +127,11 @@ fn the_octree_gives_the_naive_picture_for_every_effect() {
         let mut mesh = case.mesh;
         for (vertices, _) in &mut mesh.triangles {
             *vertices = vertices.map(|vertex| vertex.map(|x| f64::from(x as f32)));
+        }
+        // What a file keeps of normals.
+        let normals = mesh.attributes.iter_mut().filter_map(|attributes| attributes.normals.as_mut());
+        for normal in normals.flatten() {
+            *normal = normal_of_bits(normal_bits(normal.map(|x| x as f32)).unwrap());
         }
         let reference = render(&mesh, &case.scene, &case.settings);
         compile(&mesh, &path, 4 << 10, Codec::Lz4);

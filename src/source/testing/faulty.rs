@@ -54,6 +54,14 @@ impl<S: BlockSource> BlockSource for FaultySource<S> {
         self.source.buffer_bytes()
     }
 
+    fn gives_attributes(&self) -> bool {
+        self.source.gives_attributes()
+    }
+
+    fn read_attributes(&self, page: u32, into: &mut Vec<u8>) -> Result<(), SourceError> {
+        self.source.read_attributes(page, into)
+    }
+
     fn cut_cell(&self, cell: CellId) -> Result<Arc<[BlockEntry]>, LoadError> {
         self.source.cut_cell(cell)
     }

@@ -51,6 +51,14 @@ impl<S: BlockSource> BlockSource for SlowSource<S> {
         self.source.buffer_bytes()
     }
 
+    fn gives_attributes(&self) -> bool {
+        self.source.gives_attributes()
+    }
+
+    fn read_attributes(&self, page: u32, into: &mut Vec<u8>) -> Result<(), SourceError> {
+        self.source.read_attributes(page, into)
+    }
+
     fn cut_cell(&self, cell: CellId) -> Result<Arc<[BlockEntry]>, LoadError> {
         self.source.cut_cell(cell)
     }

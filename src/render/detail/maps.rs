@@ -1,0 +1,138 @@
+//! The pictures of each material, found among those that are open.
+
+use crate::model::{ImageMap, MaterialRecord};
+use crate::scene::{Effect, EffectPlan, Scene};
+use crate::texture::{Address, Encoding, TextureId, Textures};
+use crate::trace::MaterialSet;
+use crate::units::MaterialId;
+
+/// A picture, and how it lies on a surface.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Placed {
+    pub texture: TextureId,
+    pub address: Address,
+    scale: [f64; 2],
+    offset: [f64; 2],
+    pub strength: f64,
+    /// Width and height in texels.
+    pub size: [f64; 2],
+}
+
+impl Placed {
+    fn find(map: &ImageMap, encoding: Encoding, textures: &Textures) -> Option<Placed> {
+        let texture = textures.find(&map.path, encoding)?;
+        Some(Placed {
+            texture,
+            address: if map.clamp { Address::Clamp } else { Address::Repeat },
+            scale: map.scale.map(f64::from),
+            offset: map.offset.map(f64::from),
+            strength: f64::from(map.strength),
+            size: textures.size(texture).map(f64::from),
+        })
+    }
+
+    /// Where texture coordinates of a surface are in the picture.
+    pub fn coordinates(&self, uv: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|axis| uv[axis] * self.scale[axis] + self.offset[axis])
+    }
+
+    /// Texels along a unit of each texture coordinate.
+    pub fn density(&self) -> [f64; 2] {
+        [0, 1].map(|axis| self.scale[axis] * self.size[axis])
+    }
+}
+
+/// Where a surface is not there: the channel of a picture that says so.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CutOut {
+    pub map: Placed,
+    pub channel: usize,
+}
+
+impl CutOut {
+    /// Below this the surface is not there; exactly there it is.
+    pub const THRESHOLD: f64 = 0.5;
+    const RED: usize = 0;
+    const ALPHA: usize = 3;
+}
+
+/// The pictures of a material that the plan needs.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct MaterialMaps {
+    pub diffuse: Option<Placed>,
+    pub specular: Option<Placed>,
+    pub cut_out: Option<CutOut>,
+    pub bump: Option<Placed>,
+    pub normal: Option<Placed>,
+}
+
+impl MaterialMaps {
+    pub const NONE: MaterialMaps =
+        MaterialMaps { diffuse: None, specular: None, cut_out: None, bump: None, normal: None };
+
+    /// Whether a hit that is there looks different by them.
+    pub fn are_seen(&self) -> bool {
+        self.diffuse.is_some() || self.specular.is_some() || self.bump.is_some() || self.normal.is_some()
+    }
+
+    fn of(record: &MaterialRecord, textures: &Textures, plan: &EffectPlan) -> MaterialMaps {
+        let Some(images) = &record.images else { return MaterialMaps::NONE };
+        let find = |effect, map: &Option<ImageMap>, encoding| {
+            let map = map.as_ref().filter(|_| plan.has(effect))?;
+            Placed::find(map, encoding, textures)
+        };
+        let opacity = find(Effect::AlphaCutouts, &images.opacity, Encoding::Linear);
+        let color = find(Effect::AlphaCutouts, &images.diffuse, Encoding::Srgb);
+        let by_color = || color.filter(|map| textures.has_alpha(map.texture));
+        MaterialMaps {
+            diffuse: find(Effect::Textures, &images.diffuse, Encoding::Srgb),
+            specular: find(Effect::Textures, &images.specular, Encoding::Srgb),
+            cut_out: match opacity {
+                Some(map) => {
+                    let channel = if textures.has_alpha(map.texture) { CutOut::ALPHA } else { CutOut::RED };
+                    Some(CutOut { map, channel })
+                }
+                None => by_color().map(|map| CutOut { map, channel: CutOut::ALPHA }),
+            },
+            // A map of normals says more than one of heights.
+            bump: match images.normal {
+                None => find(Effect::BumpMaps, &images.bump, Encoding::Linear),
+                Some(_) => None,
+            },
+            normal: find(Effect::BumpMaps, &images.normal, Encoding::Linear),
+        }
+    }
+}
+
+/// Materials that may be cut out.
+#[derive(Debug)]
+pub(crate) struct CutOuts {
+    pub materials: MaterialSet,
+    /// And those that shadows shine through.
+    pub or_transparent: MaterialSet,
+}
+
+/// The pictures of all materials; empty if none has any that the plan needs.
+pub(crate) fn maps(scene: &Scene, materials: &[MaterialRecord], plan: &EffectPlan) -> Vec<MaterialMaps> {
+    let effects = [Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
+    match scene.textures() {
+        Some(textures) if effects.into_iter().any(|effect| plan.has(effect)) => {
+            materials.iter().map(|record| MaterialMaps::of(record, textures, plan)).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// The materials with a cut-out; none if there are none. `transparent` are those that shadows shine through.
+pub(crate) fn cut_outs(maps: &[MaterialMaps], transparent: Option<&MaterialSet>) -> Option<CutOuts> {
+    let ids = || (0..=u16::MAX).map(MaterialId).take(maps.len());
+    let materials: MaterialSet = ids().filter(|id| maps[usize::from(id.0)].cut_out.is_some()).collect();
+    if materials.is_empty() {
+        return None;
+    }
+    let is_passed = |id: &MaterialId| {
+        materials.contains(*id) || transparent.is_some_and(|transparent| transparent.contains(*id))
+    };
+    let or_transparent = ids().filter(is_passed).collect();
+    Some(CutOuts { materials, or_transparent })
+}

@@ -1,0 +1,232 @@
+//! A query that knows what is on surfaces: it reads attributes and textures, and passes by where a surface is cut out.
+//!
+//! A cut-out is geometry to all above: neither camera rays nor bounces nor shadows see what is not there. Whether a hit is cut out is a
+//! pure function of triangle and place, looked up in the largest size of the picture, so every ray finds the same. A ray goes
+//! on behind it in the order of (t, triangle id), so that nothing is lost or met twice.
+
+use super::maps::{CutOut, MaterialMaps, Placed};
+use crate::block::attributes::CornerAttributes;
+use crate::error::{LoadError, TraceError};
+use crate::geom::Ray;
+use crate::render::query::RayQuery;
+use crate::render::stage::Stage;
+use crate::stats::TraceCounters;
+use crate::texture::TextureReader;
+use crate::trace::{Hit, MaterialSet, Occlusion};
+use crate::units::TriangleId;
+
+/// What was looked up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct DetailCounters {
+    /// Hits whose triangle was asked for the attributes of its corners.
+    pub attribute_lookups: u64,
+    /// Lookups in pictures of colours.
+    pub texture_reads: u64,
+    /// Hits of which it was asked whether they are cut out, and those that are.
+    pub cutout_tests: u64,
+    pub cutouts_passed: u64,
+    /// Queries that carried rays on behind them.
+    pub cutout_rays: u64,
+    /// Lookups in pictures of heights and normals.
+    pub bump_reads: u64,
+}
+
+/// See the module's text.
+pub(crate) struct SurfaceQuery<'s, Q> {
+    stage: &'s Stage,
+    pub geometry: Q,
+    textures: Option<TextureReader<'s>>,
+    pub counters: DetailCounters,
+    /// Rays on their way behind cut-outs: which of the call's, the ray, and the hit that it passed.
+    places: Vec<u32>,
+    rays: Vec<Ray>,
+    after: Vec<(f64, TriangleId)>,
+    hits: Vec<Option<Hit>>,
+}
+
+impl<Q> SurfaceQuery<'_, Q> {
+    /// What the lists take at most for calls of `count` rays.
+    pub fn bytes_needed(stage: &Stage, count: usize) -> usize {
+        let per_ray =
+            size_of::<u32>() + size_of::<Ray>() + size_of::<(f64, TriangleId)>() + size_of::<Option<Hit>>();
+        // Vectors double as they grow.
+        if stage.cut_outs.is_some() { 4 * count * per_ray } else { 0 }
+    }
+}
+
+impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
+    pub fn new(stage: &'s Stage, geometry: Q) -> SurfaceQuery<'s, Q> {
+        SurfaceQuery {
+            stage,
+            geometry,
+            textures: stage.textures.as_deref().map(|cache| cache.reader()),
+            counters: DetailCounters::default(),
+            places: Vec::new(),
+            rays: Vec::new(),
+            after: Vec::new(),
+            hits: Vec::new(),
+        }
+    }
+
+    /// The attributes of the triangle of a hit.
+    pub fn attributes(&mut self, hit: &Hit) -> Result<CornerAttributes, TraceError> {
+        self.counters.attribute_lookups += 1;
+        self.geometry.corner_attributes(hit.triangle)
+    }
+
+    /// A picture at texture coordinates. Black where there are no pictures at all.
+    pub fn look_up(&mut self, map: &Placed, uv: [f64; 2], level: f64) -> Result<[f64; 4], LoadError> {
+        match &mut self.textures {
+            Some(reader) => reader.sample(map.texture, map.coordinates(uv), level, map.address),
+            None => Ok([0.0; 4]),
+        }
+    }
+
+    /// Whether the surface is not there at a hit.
+    fn is_cut_out(&mut self, hit: &Hit) -> Result<bool, TraceError> {
+        let MaterialMaps { cut_out, .. } = *self.stage.maps(hit.material);
+        let Some(CutOut { map, channel }) = cut_out else { return Ok(false) };
+        self.counters.cutout_tests += 1;
+        let Some(uvs) = self.attributes(hit)?.uvs else { return Ok(false) };
+        let texel = self.look_up(&map, interpolate(&uvs, hit), 0.0)?;
+        let is_cut = texel[channel] < CutOut::THRESHOLD;
+        self.counters.cutouts_passed += u64::from(is_cut);
+        Ok(is_cut)
+    }
+
+    /// Takes every ray of a call on until it has a hit on something that is there, or none.
+    fn pass_cut_outs(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError> {
+        self.places.clear();
+        self.rays.clear();
+        self.after.clear();
+        for (place, (ray, hit)) in (0u32..).zip(rays.iter().zip(hits.iter())) {
+            if let Some(hit) = hit
+                && self.is_cut_out(hit)?
+            {
+                self.places.push(place);
+                self.rays.push(*ray);
+                self.after.push((hit.t, hit.triangle));
+            }
+        }
+        while !self.places.is_empty() {
+            let count = self.places.len();
+            self.counters.cutout_rays += count as u64;
+            self.hits.resize(self.hits.len().max(count), None);
+            self.geometry.closest_hits_after(&self.rays, &self.after, &mut self.hits[..count])?;
+            let mut left = 0;
+            for index in 0..count {
+                let found = self.hits[index];
+                let place = self.places[index];
+                match found {
+                    Some(hit) if self.is_cut_out(&hit)? => {
+                        self.places[left] = place;
+                        self.rays[left] = self.rays[index];
+                        self.after[left] = (hit.t, hit.triangle);
+                        left += 1;
+                    }
+                    found => hits[place as usize] = found,
+                }
+            }
+            self.places.truncate(left);
+            self.rays.truncate(left);
+            self.after.truncate(left);
+        }
+        Ok(())
+    }
+
+    /// What really lies between the ends of rays of which it is known that they meet cut-out or ignored materials only.
+    fn occluded_behind_cut_outs(
+        &mut self,
+        rays: &[Ray],
+        ignore: Option<&MaterialSet>,
+        out: &mut [Occlusion],
+    ) -> Result<(), TraceError> {
+        let open: Vec<usize> = (0..rays.len()).filter(|index| out[*index] == Occlusion::Filtered).collect();
+        let mut open_rays: Vec<Ray> = open.iter().map(|index| rays[*index]).collect();
+        let mut open = open;
+        for index in &open {
+            out[*index] = Occlusion::Clear;
+        }
+        let mut after: Vec<(f64, TriangleId)> = Vec::new();
+        let mut hits = vec![None; open.len()];
+        let mut is_first = true;
+        while !open.is_empty() {
+            let hits = &mut hits[..open.len()];
+            self.counters.cutout_rays += open.len() as u64;
+            if is_first {
+                self.geometry.closest_hits(&open_rays, hits)?;
+            } else {
+                self.geometry.closest_hits_after(&open_rays, &after, hits)?;
+            }
+            is_first = false;
+            let (mut next, mut next_rays, mut next_after) = (Vec::new(), Vec::new(), Vec::new());
+            for (index, (ray, hit)) in open.iter().zip(open_rays.iter().zip(hits.iter())) {
+                let Some(hit) = hit else { continue };
+                if !self.is_cut_out(hit)? {
+                    if ignore.is_some_and(|ignore| ignore.contains(hit.material)) {
+                        out[*index] = Occlusion::Filtered;
+                    } else {
+                        out[*index] = Occlusion::Blocked;
+                        continue;
+                    }
+                }
+                next.push(*index);
+                next_rays.push(*ray);
+                next_after.push((hit.t, hit.triangle));
+            }
+            (open, open_rays, after) = (next, next_rays, next_after);
+        }
+        Ok(())
+    }
+}
+
+/// Texture coordinates at a hit.
+pub(super) fn interpolate(uvs: &[[f32; 2]; 3], hit: &Hit) -> [f64; 2] {
+    let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
+    [0, 1].map(|axis| {
+        let [a, b, c] = uvs.map(|uv| f64::from(uv[axis]));
+        weights[0] * a + weights[1] * b + weights[2] * c
+    })
+}
+
+impl<Q: RayQuery> RayQuery for SurfaceQuery<'_, Q> {
+    fn closest_hits(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError> {
+        self.geometry.closest_hits(rays, hits)?;
+        if self.stage.cut_outs.is_some() { self.pass_cut_outs(rays, hits) } else { Ok(()) }
+    }
+
+    fn closest_hits_after(
+        &mut self,
+        rays: &[Ray],
+        after: &[(f64, TriangleId)],
+        hits: &mut [Option<Hit>],
+    ) -> Result<(), TraceError> {
+        self.geometry.closest_hits_after(rays, after, hits)?;
+        if self.stage.cut_outs.is_some() { self.pass_cut_outs(rays, hits) } else { Ok(()) }
+    }
+
+    fn occluded(
+        &mut self,
+        rays: &[Ray],
+        ignore: Option<&MaterialSet>,
+        out: &mut [Occlusion],
+    ) -> Result<(), TraceError> {
+        let stage = self.stage;
+        let Some(cut_outs) = &stage.cut_outs else { return self.geometry.occluded(rays, ignore, out) };
+        // All that may be passed; what is passed is looked at one by one.
+        let passed = match ignore {
+            Some(_) => &cut_outs.or_transparent,
+            None => &cut_outs.materials,
+        };
+        self.geometry.occluded(rays, Some(passed), out)?;
+        self.occluded_behind_cut_outs(rays, ignore, out)
+    }
+
+    fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {
+        self.geometry.corner_attributes(triangle)
+    }
+
+    fn counters(&self) -> TraceCounters {
+        self.geometry.counters()
+    }
+}

@@ -1,0 +1,173 @@
+//! Image files to one file of tiles beside the compiled model.
+
+use std::fs::{self, File};
+use std::io::{self, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::decode::{Rows, decode};
+use super::file::{HEADER_BYTES, Textures, sealed};
+use super::layout::{Encoding, Image, ImageKey, TILE_BYTES, tile_count};
+use super::pyramid::{Pyramid, tile_checksum};
+use crate::block::checksum;
+use crate::budget::{MemoryBudget, Reservation};
+use crate::error::TextureError;
+use crate::model::MaterialRecord;
+use crate::units::Bytes;
+
+/// Longest path of an image.
+const PATH_BYTES_MAX: usize = 1 << 12;
+
+impl Textures {
+    /// The pictures that `materials` name: from the file `tiles` if it was made from these images as they are now, else converted to it.
+    /// `folder` is the model's, from which relative paths start. Conversion takes about 600 bytes of the budget for each texel of the
+    /// widest image's width, and a JPEG or interlaced PNG image as a whole.
+    ///
+    /// # Errors
+    /// [`TextureError`] for an image that cannot be read (which names it), a file that cannot be written, or a budget that is too small. A file
+    /// that was at `tiles` before is as it was.
+    pub fn open(
+        materials: &[MaterialRecord],
+        folder: &Path,
+        tiles: &Path,
+        budget: &MemoryBudget,
+    ) -> Result<Arc<Textures>, TextureError> {
+        let keys = Textures::named_by(materials);
+        let wanted = source_key(&keys, folder)?;
+        // What is not sound, or of other images, is made again.
+        if let Ok(textures) = Textures::open_file(tiles, budget)
+            && textures.key() == wanted
+        {
+            return Ok(Arc::new(textures));
+        }
+        let mut partial = tiles.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
+        let written = write(&keys, folder, &partial, wanted, budget);
+        let published = written.and_then(|()| {
+            fs::rename(&partial, tiles).map_err(|error| TextureError::Io { path: tiles.to_path_buf(), error })
+        });
+        if let Err(error) = published {
+            // Whatever is left of it is of no use; the first error is the one to tell.
+            let _ = fs::remove_file(&partial);
+            return Err(error);
+        }
+        Textures::open_file(tiles, budget).map(Arc::new)
+    }
+
+    /// The pictures that `materials` name, each once, in the order of the materials.
+    pub fn named_by(materials: &[MaterialRecord]) -> Vec<ImageKey> {
+        let mut keys: Vec<ImageKey> = Vec::new();
+        let maps = materials.iter().filter_map(|record| record.images.as_deref());
+        for (map, is_color) in maps.flat_map(|images| images.all()) {
+            let encoding = if is_color { Encoding::Srgb } else { Encoding::Linear };
+            let key = ImageKey { path: PathBuf::from(&map.path), encoding };
+            if !keys.contains(&key) {
+                keys.push(key);
+            }
+        }
+        keys
+    }
+}
+
+/// A number that changes when an image does.
+fn source_key(keys: &[ImageKey], folder: &Path) -> Result<u64, TextureError> {
+    let mut bytes = Vec::new();
+    for key in keys {
+        let path = folder.join(&key.path);
+        let metadata = fs::metadata(&path).map_err(|error| TextureError::Io { path: path.clone(), error })?;
+        if key.path.as_os_str().len() > PATH_BYTES_MAX {
+            return Err(TextureError::Image { path, reason: "has too long a path".to_owned() });
+        }
+        let modified =
+            metadata.modified().ok().and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok());
+        bytes.extend_from_slice(key.path.to_string_lossy().as_bytes());
+        bytes.push(u8::from(key.encoding == Encoding::Linear));
+        bytes.extend_from_slice(&metadata.len().to_le_bytes());
+        bytes.extend_from_slice(&modified.map_or(0, |time| time.as_nanos() as u64).to_le_bytes());
+    }
+    Ok(checksum(&bytes))
+}
+
+/// Tiles of one image on their way to the file.
+struct ToFile<'a> {
+    output: &'a mut File,
+    output_path: &'a Path,
+    encoding: Encoding,
+    checksums: &'a mut Vec<u64>,
+    first_tile: u32,
+    size: [u32; 2],
+    pyramid: Option<Pyramid>,
+    budget: &'a MemoryBudget,
+    memory: Vec<Reservation>,
+}
+
+impl Rows for ToFile<'_> {
+    fn start(&mut self, width: u32, height: u32) -> Result<(), TextureError> {
+        let tiles = tile_count(width, height);
+        let bytes = Pyramid::bytes_needed(width) + 8 * u64::from(tiles);
+        let memory = self.budget.reserve(Bytes(bytes), "converting an image to tiles");
+        self.memory.push(memory.map_err(TextureError::Budget)?);
+        let count = self.first_tile.checked_add(tiles).filter(|count| *count < u32::MAX);
+        let count = count.ok_or_else(|| TextureError::Image {
+            path: self.output_path.to_path_buf(),
+            reason: "would have more than 2^32 tiles".to_owned(),
+        })?;
+        self.checksums.resize(count as usize, 0);
+        self.size = [width, height];
+        self.pyramid = Some(Pyramid::new(width, height, self.first_tile, self.encoding));
+        Ok(())
+    }
+
+    fn row(&mut self, row: &[u8]) -> Result<(), TextureError> {
+        let ToFile { output, output_path, checksums, pyramid, .. } = self;
+        // `start` comes first.
+        let Some(pyramid) = pyramid else { return Ok(()) };
+        pyramid.push(row, &mut |tile, texels| {
+            checksums[tile as usize] = tile_checksum(texels);
+            write_at(output, HEADER_BYTES as u64 + u64::from(tile) * TILE_BYTES as u64, texels)
+                .map_err(|error| TextureError::Io { path: output_path.to_path_buf(), error })
+        })
+    }
+}
+
+fn write(
+    keys: &[ImageKey],
+    folder: &Path,
+    path: &Path,
+    source: u64,
+    budget: &MemoryBudget,
+) -> Result<(), TextureError> {
+    let io = |error| TextureError::Io { path: path.to_path_buf(), error };
+    let mut output = File::create(path).map_err(io)?;
+    let (mut images, mut checksums) = (Vec::new(), Vec::new());
+    for key in keys {
+        let first_tile = checksums.len() as u32;
+        let mut rows = ToFile {
+            output: &mut output,
+            output_path: path,
+            encoding: key.encoding,
+            checksums: &mut checksums,
+            first_tile,
+            size: [0; 2],
+            pyramid: None,
+            budget,
+            memory: Vec::new(),
+        };
+        decode(&folder.join(&key.path), budget, &mut rows)?;
+        let has_alpha = rows.pyramid.as_ref().is_some_and(|pyramid| pyramid.has_alpha);
+        let [width, height] = rows.size;
+        images.push(Image { key: key.clone(), width, height, first_tile, has_alpha });
+    }
+    let (header, directory) = sealed(&images, &checksums, source);
+    let offset = HEADER_BYTES as u64 + checksums.len() as u64 * TILE_BYTES as u64;
+    write_at(&mut output, offset, &directory).map_err(io)?;
+    // Last: before that the file is none.
+    write_at(&mut output, 0, &header).map_err(io)?;
+    output.sync_all().map_err(io)
+}
+
+fn write_at(file: &mut File, offset: u64, bytes: &[u8]) -> io::Result<()> {
+    file.seek(SeekFrom::Start(offset))?;
+    file.write_all(bytes)
+}
