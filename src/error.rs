@@ -220,8 +220,21 @@ pub enum ImportError {
         /// What is wrong there.
         reason: String,
     },
+    /// A document has a part that means nothing, or that is not supported.
+    #[error("{}: {element}: {reason}", path.display())]
+    Element {
+        /// The model file.
+        path: PathBuf,
+        /// The part, as a path in the document: `meshes[3].primitives[0]`.
+        element: String,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// The file's kind is not known.
-    #[error("{}: unknown kind of model file; known are .obj, .ply and .stl, each also as .gz", path.display())]
+    #[error(
+        "{}: unknown kind of model file; known are .obj, .ply and .stl, each also as .gz, and .gltf and .glb (feature `gltf`)",
+        path.display()
+    )]
     UnknownKind {
         /// The model file.
         path: PathBuf,

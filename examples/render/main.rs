@@ -9,7 +9,7 @@ mod summary;
 use std::error::Error;
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ use outcrop::free_memory::FollowFreeMemory;
 use outcrop::model::Model;
 use outcrop::octree::{LazyOctree, OctreeOptions, TreeQuality};
 use outcrop::render::{Outcome, RenderSettings, RenderedImage, Renderer, Threads};
-use outcrop::scene::{Camera, Light, Scene};
+use outcrop::scene::{Camera, GltfView, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
 use outcrop::texture::Textures;
 use outcrop::{BlockSource, MemoryBudget};
@@ -196,6 +196,18 @@ fn settings(options: &Options) -> RenderSettings {
     settings
 }
 
+/// The cameras and lights of the model file, if it is one that has them.
+fn file_view(options: &Options) -> Result<GltfView, Box<dyn Error>> {
+    let is_gltf = |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "gltf" || kind == "glb");
+    Ok(options
+        .model
+        .as_ref()
+        .filter(is_gltf)
+        .map(|path| GltfView::read(path))
+        .transpose()?
+        .unwrap_or_default())
+}
+
 /// The scene that the options describe; what they leave out is chosen to fit the model.
 fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
     let aspect = f64::from(options.size[0]) / f64::from(options.size[1]);
@@ -204,18 +216,24 @@ fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
         Some(up) => Camera::framing_with_up(&model.bounds, up, aspect),
         None => Camera::framing(&model.bounds, aspect),
     };
+    let view = file_view(options)?;
     let look_at = options.look_at.unwrap_or_else(|| model.bounds.center());
     let eye = options.eye.unwrap_or_else(|| framing.eye());
     // The framing camera's own up is at a right angle to its view; any up that is given or usual will do here.
     let up = up.unwrap_or(if options.eye.is_some() { [0.0, 0.0, 1.0] } else { framing.frame()[1] });
     let camera = match options.orthographic {
         Some(height) => Camera::orthographic(eye, look_at, up, height)?,
-        None if options.eye.is_none() && options.look_at.is_none() && options.fov.is_none() => framing,
+        None if options.eye.is_none() && options.look_at.is_none() && options.fov.is_none() => {
+            view.cameras.first().copied().filter(|_| options.up.is_none()).unwrap_or(framing)
+        }
         None => Camera::pinhole(eye, look_at, up, options.fov.unwrap_or(gears_view::FOV_DEGREES))?,
     };
     let scene = Scene::new(camera);
     if options.lights.is_empty() {
-        return Ok(scene.with_automatic_lights());
+        return Ok(match view.lights.is_empty() {
+            true => scene.with_automatic_lights(),
+            false => scene.with_lights(view.lights),
+        });
     }
     let lights = options.lights.iter().map(|&(position, intensity)| Light::point(position, [intensity; 3]));
     Ok(scene.with_lights(lights).with_background(gears_view::BACKGROUND).with_ambient(gears_view::AMBIENT))

@@ -20,7 +20,7 @@ pub const HELP: &str = "\
 render: makes a picture of a model inside a memory budget
 
     cargo run --release --example render                      procedural gears, 1.7 million triangles, in 64 MiB
-    cargo run --release --example render -- MODEL [OPTION]... .obj, .ply, .stl (each also .gz) or a compiled .outcrop
+    cargo run --release --example render -- MODEL [OPTION]... .obj, .ply, .stl (each also .gz), .gltf, .glb or a compiled .outcrop
     cargo run --release --example render -- MODEL --compile-only [-o FILE.outcrop]
 
 Without a MODEL, gears are made in code and go straight into the compiler, however many they are.

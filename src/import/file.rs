@@ -7,6 +7,8 @@ use std::time::UNIX_EPOCH;
 
 use xxhash_rust::xxh3::Xxh3;
 
+#[cfg(feature = "gltf")]
+use super::gltf;
 use super::library;
 use super::meter::Meter;
 use super::obj;
@@ -26,6 +28,8 @@ enum Format {
     Obj,
     Ply,
     Stl,
+    #[cfg(feature = "gltf")]
+    Gltf,
 }
 
 /// Format of a file by its extension, in any case, and whether it is compressed.
@@ -39,13 +43,15 @@ fn kind(path: &Path) -> Option<(Format, bool)> {
         "obj" => Format::Obj,
         "ply" => Format::Ply,
         "stl" => Format::Stl,
+        #[cfg(feature = "gltf")]
+        "gltf" | "glb" if !compressed => Format::Gltf,
         _ => return None,
     };
     Some((format, compressed))
 }
 
 /// Imports a model file into `sink`. The format follows from the extension, in upper or lower case: `.obj`,
-/// `.ply`, `.stl`, and each of them with `.gz` behind it (feature `gzip`).
+/// `.ply`, `.stl`, each also with `.gz` behind it (feature `gzip`), `.gltf` and `.glb` (feature `gltf`).
 ///
 /// The sink is left with part of the mesh if this fails.
 ///
@@ -59,11 +65,21 @@ pub fn import_file(
 ) -> Result<ImportReport, ImportError> {
     let (format, compressed) = kind(path).ok_or_else(|| ImportError::UnknownKind { path: path.into() })?;
     let mut open = || open(path, compressed);
-    let (reader, meter) = open()?;
     match format {
-        Format::Obj => obj::read(reader, meter, path, options, Some(&mut open), sink),
-        Format::Ply => ply::read(reader, meter, path, options, Some(&mut open), sink),
-        Format::Stl => stl::read(reader, meter, path, options, sink),
+        Format::Obj => {
+            let (reader, meter) = open()?;
+            obj::read(reader, meter, path, options, Some(&mut open), sink)
+        }
+        Format::Ply => {
+            let (reader, meter) = open()?;
+            ply::read(reader, meter, path, options, Some(&mut open), sink)
+        }
+        Format::Stl => {
+            let (reader, meter) = open()?;
+            stl::read(reader, meter, path, options, sink)
+        }
+        #[cfg(feature = "gltf")]
+        Format::Gltf => gltf::read(path, options, sink),
     }
 }
 
@@ -150,6 +166,8 @@ fn named_libraries(format: Format, model: &Path, front: &[u8]) -> Vec<PathBuf> {
         Format::Obj => b"mtllib",
         Format::Ply => b"comment mtllib",
         Format::Stl => return Vec::new(),
+        #[cfg(feature = "gltf")]
+        Format::Gltf => return gltf::named_files(model),
     };
     let lines = front.split(|byte| matches!(byte, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
     let names = lines.filter_map(|line| line.strip_prefix(prefix)).filter(|rest| rest.starts_with(b" "));

@@ -1,4 +1,4 @@
-//! Streamed readers for model formats: OBJ and MTL, PLY, STL, each also gzipped. Never the whole mesh in memory.
+//! Streamed readers for model formats: OBJ and MTL, PLY, STL, each also gzipped, and glTF (feature `gltf`). Never the whole mesh in memory.
 //!
 //! A reader holds a window of 1 MiB on the file and batches of 32,768 vertices and triangles: about 4 MiB, whatever
 //! the size of the model (I1). Polygons of many corners take up to 90 bytes for each ([`CORNERS_MAX`] of them at most:
@@ -14,6 +14,8 @@ mod buffer;
 mod decimal;
 mod feed;
 mod file;
+#[cfg(feature = "gltf")]
+pub(crate) mod gltf;
 mod library;
 mod meter;
 mod mtl;
@@ -32,6 +34,8 @@ mod window;
 
 pub use buffer::MeshBuffer;
 pub use file::{import_file, source_record};
+#[cfg(feature = "gltf")]
+pub use gltf::JSON_BYTES_MAX;
 pub use obj::read_obj;
 pub use ply::read_ply;
 pub use polygon::CORNERS_MAX;

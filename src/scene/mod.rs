@@ -11,6 +11,8 @@ mod description;
 mod effect;
 mod environment;
 mod finish;
+#[cfg(feature = "gltf")]
+mod gltf;
 mod lens;
 mod light;
 mod motion;
@@ -27,6 +29,8 @@ pub use effect::{Effect, EffectOptions, EffectSet};
 pub(crate) use environment::EnvironmentEmitter;
 pub use environment::{Environment, EnvironmentImage};
 pub use finish::Finish;
+#[cfg(feature = "gltf")]
+pub use gltf::GltfView;
 pub use lens::Lens;
 pub(crate) use light::Emitter;
 pub use light::{Falloff, Light};

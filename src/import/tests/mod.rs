@@ -2,6 +2,8 @@
 
 mod decimal;
 mod files;
+#[cfg(feature = "gltf")]
+mod gltf;
 mod hostile;
 mod mtl;
 mod number;

@@ -1,0 +1,166 @@
+//! The document of a file, and where its buffers are.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use gltf::{Document, Gltf};
+
+use crate::error::ImportError;
+
+/// Longest JSON text, 64 MiB. While it is read it takes about ten times as much memory.
+pub const JSON_BYTES_MAX: u64 = 64 << 20;
+
+/// Length of the header of a `.glb` file.
+const HEADER_BYTES: u64 = 12;
+/// Length of what stands before a chunk.
+const CHUNK_HEADER_BYTES: u64 = 8;
+const MAGIC: &[u8; 4] = b"glTF";
+const JSON_CHUNK: u32 = 0x4e4f_534a;
+const BINARY_CHUNK: u32 = 0x004e_4942;
+
+/// A file whose document was read and checked. Buffers were not looked at.
+pub(crate) struct Opened {
+    path: PathBuf,
+    pub document: Document,
+    /// Where the binary chunk of a `.glb` is.
+    pub chunk: Option<Range<u64>>,
+}
+
+impl Opened {
+    /// Opens a file. It is a `.glb` if it starts like one, whatever its name.
+    pub fn new(path: &Path) -> Result<Opened, ImportError> {
+        let io = |error| ImportError::Io { path: path.to_path_buf(), error };
+        let mut file = File::open(path).map_err(io)?;
+        let file_bytes = file.metadata().map_err(io)?.len();
+        let mut front = Vec::new();
+        file.by_ref().take(HEADER_BYTES + CHUNK_HEADER_BYTES).read_to_end(&mut front).map_err(io)?;
+        let (json_range, chunk) = if front.starts_with(MAGIC) {
+            let container = container(path, &front, file_bytes)?;
+            let after = container.json.end;
+            let chunk = match after < container.end {
+                true => binary_chunk(path, &mut file, after..container.end)?,
+                false => None,
+            };
+            (container.json, chunk)
+        } else {
+            (0..file_bytes, None)
+        };
+        let json_bytes = json_range.end - json_range.start;
+        if json_bytes > JSON_BYTES_MAX {
+            let reason = format!("the JSON text has {json_bytes} bytes; at most {JSON_BYTES_MAX} are read");
+            return Err(byte_error(path, json_range.start, reason));
+        }
+        let mut json = Vec::new();
+        file.seek(SeekFrom::Start(json_range.start)).map_err(io)?;
+        file.take(json_bytes).read_to_end(&mut json).map_err(io)?;
+        let document = parse(path, json_range.start, &json)?;
+        Ok(Opened { path: path.to_path_buf(), document, chunk })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// An error about a part of the document.
+    pub fn error(&self, element: String, reason: impl Into<String>) -> ImportError {
+        ImportError::Element { path: self.path.clone(), element, reason: reason.into() }
+    }
+
+    /// The path of a buffer that is named by a relative reference.
+    pub fn file_beside(&self, uri: &str) -> Option<PathBuf> {
+        let decoded = percent_encoding::percent_decode_str(uri).decode_utf8().ok()?;
+        // A scheme, or a path from the root: nothing that moves with the file.
+        let is_local = !decoded.contains(':') && !decoded.starts_with(['/', '\\']);
+        is_local.then(|| self.path.parent().unwrap_or(Path::new("")).join(decoded.as_ref()))
+    }
+
+    /// The buffers that are files and are there.
+    pub fn buffer_files(&self) -> Vec<PathBuf> {
+        let uri = |source| match source {
+            gltf::buffer::Source::Uri(uri) => self.file_beside(uri),
+            gltf::buffer::Source::Bin => None,
+        };
+        self.document
+            .buffers()
+            .filter_map(|buffer| uri(buffer.source()))
+            .filter(|path| path.is_file())
+            .collect()
+    }
+}
+
+fn byte_error(path: &Path, offset: u64, reason: impl Into<String>) -> ImportError {
+    ImportError::Byte { path: path.to_path_buf(), offset, reason: reason.into() }
+}
+
+fn number(bytes: &[u8], offset: usize) -> Option<u64> {
+    let bytes = bytes.get(offset..)?.first_chunk::<4>()?;
+    Some(u64::from(u32::from_le_bytes(*bytes)))
+}
+
+/// The parts of a `.glb` file.
+struct Container {
+    json: Range<u64>,
+    /// Where the container ends; the file may go on.
+    end: u64,
+}
+
+fn container(path: &Path, front: &[u8], file_bytes: u64) -> Result<Container, ImportError> {
+    let field = |offset| {
+        number(front, offset).ok_or_else(|| byte_error(path, front.len() as u64, "the file ends here"))
+    };
+    let version = field(4)?;
+    if version != 2 {
+        return Err(byte_error(path, 4, format!("glTF version {version}; only version 2 is read")));
+    }
+    let end = field(8)?;
+    if end > file_bytes {
+        let reason =
+            format!("the container should have {end} bytes, the file has {file_bytes}: it is cut short");
+        return Err(byte_error(path, 8, reason));
+    }
+    let (length, kind) = (field(12)?, field(16)?);
+    let start = HEADER_BYTES + CHUNK_HEADER_BYTES;
+    if kind != u64::from(JSON_CHUNK) || length > end.saturating_sub(start) {
+        return Err(byte_error(path, 12, "the first chunk is no JSON text inside the container"));
+    }
+    Ok(Container { json: start..start + length, end })
+}
+
+/// The binary chunk in `range`, if the first one there is one.
+fn binary_chunk(path: &Path, file: &mut File, range: Range<u64>) -> Result<Option<Range<u64>>, ImportError> {
+    let io = |error| ImportError::Io { path: path.to_path_buf(), error };
+    let mut front = Vec::new();
+    file.seek(SeekFrom::Start(range.start)).map_err(io)?;
+    file.by_ref().take(CHUNK_HEADER_BYTES).read_to_end(&mut front).map_err(io)?;
+    let (Some(length), Some(kind)) = (number(&front, 0), number(&front, 4)) else {
+        return Err(byte_error(path, range.start, "the file ends inside a chunk's header"));
+    };
+    let start = range.start + CHUNK_HEADER_BYTES;
+    if length > range.end.saturating_sub(start) {
+        return Err(byte_error(path, range.start, "a chunk reaches past the end of the container"));
+    }
+    Ok((kind == u64::from(BINARY_CHUNK)).then(|| start..start + length))
+}
+
+/// Reads the JSON text and has its indices checked.
+fn parse(path: &Path, offset: u64, json: &[u8]) -> Result<Document, ImportError> {
+    let element =
+        |element: String, reason: String| ImportError::Element { path: path.to_path_buf(), element, reason };
+    match Gltf::from_slice(json) {
+        Ok(gltf) => Ok(gltf.document),
+        Err(gltf::Error::Deserialize(error)) => {
+            Err(byte_error(path, offset, format!("the JSON text: {error}")))
+        }
+        Err(gltf::Error::Validation(errors)) => {
+            let (place, reason) = errors.into_iter().next().map_or_else(
+                || ("the document".to_string(), "it is not valid".to_string()),
+                |(place, error)| (place.to_string(), error.to_string()),
+            );
+            Err(element(place, reason))
+        }
+        Err(error) => Err(element("the document".into(), error.to_string())),
+    }
+}

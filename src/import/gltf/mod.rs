@@ -1,0 +1,226 @@
+//! glTF 2.0: `.gltf` with its buffers beside it or in it, and `.glb`.
+//!
+//! A scene is a tree of nodes that place meshes. Each placement is read as geometry of its own: its positions are multiplied by
+//! the node's matrix in f64 and its triangles get ids in the order of the tree, so a mesh that is placed twice is there
+//! twice. Only the JSON text is held in memory ([`JSON_BYTES_MAX`] at most); buffers are read in pieces.
+//!
+//! Skins and morph targets stay at rest, textures and attributes other than positions are left out; the report says so.
+
+mod accessor;
+mod bytes;
+mod document;
+mod material;
+mod placement;
+
+use std::path::{Path, PathBuf};
+
+use gltf::mesh::Mode;
+use gltf::{Primitive, Semantic};
+
+use self::accessor::Elements;
+use self::bytes::Bytes;
+pub use self::document::JSON_BYTES_MAX;
+pub(crate) use self::document::Opened;
+pub(crate) use self::placement::visit;
+use self::placement::{Placed, placements};
+use super::feed::Feed;
+use super::report::{ImportOptions, ImportReport};
+use super::sink::MeshSink;
+use crate::error::ImportError;
+use crate::units::MaterialId;
+
+/// Reads the default scene of a file, or the first one, into `sink`.
+///
+/// # Errors
+/// [`ImportError::Io`] for the file or a buffer that it names, [`ImportError::Byte`] for a container that makes no sense,
+/// [`ImportError::Element`] for anything in the document that does, or that is not supported; [`ImportError::Sink`].
+pub(super) fn read(
+    path: &Path,
+    options: &ImportOptions,
+    sink: &mut dyn MeshSink,
+) -> Result<ImportReport, ImportError> {
+    let opened = Opened::new(path)?;
+    let mut bytes = Bytes::new(&opened);
+    let mut feed = Feed::new(sink);
+    let mut materials = Materials::new(path, options, &mut feed)?;
+    let placed: Vec<Placed<'_>> = placements(&opened)?;
+    let total: u64 = placed.iter().map(|placed| placed.bytes).sum();
+    let mut progress = (0, Some(total));
+
+    // Vertices first: a sink that knows them all places triangles as they come.
+    let moves = placed.iter().any(|placed| !placed.is_in_place());
+    let mut firsts = Vec::with_capacity(placed.len());
+    for placed in &placed {
+        firsts.push(feed.vertex_count());
+        note_ignored(&opened, placed, &mut feed);
+        let mut positions = Elements::positions(&opened, placed)?;
+        while let Some(batch) = positions.next_positions(&mut bytes)? {
+            progress.0 += batch.bytes;
+            for position in batch.values {
+                match moves {
+                    true => feed.vertex64(placed.at(*position))?,
+                    false => feed.vertex32(*position)?,
+                }
+            }
+            feed.progress(progress)?;
+        }
+    }
+    feed.vertices_complete()?;
+    for (placed, first) in placed.iter().zip(firsts) {
+        let material = materials.of(&opened, &placed.primitive, &mut feed)?;
+        feed.set_material(material)?;
+        // More are refused by the feed.
+        let mut faces = Faces::new(placed, first as u32);
+        match placed.primitive.indices() {
+            None => {
+                for index in 0..placed.vertex_count {
+                    faces.corner(index as u32, &mut feed)?;
+                }
+            }
+            Some(_) => {
+                let mut indices = Elements::indices(&opened, placed)?;
+                while let Some(batch) = indices.next_indices(&mut bytes)? {
+                    progress.0 += batch.bytes;
+                    for index in batch.values {
+                        if u64::from(*index) >= placed.vertex_count {
+                            let reason = format!("names vertex {index} of {}", placed.vertex_count);
+                            return Err(opened.error(placed.name(), reason));
+                        }
+                        faces.corner(*index, &mut feed)?;
+                    }
+                    feed.progress(progress)?;
+                }
+            }
+        }
+        feed.report.degenerate_faces += u64::from(faces.is_cut_short());
+    }
+    feed.report.material_files.clear();
+    feed.finish(progress)
+}
+
+/// The files that a glTF file names as its buffers and that are there.
+pub(super) fn named_files(path: &Path) -> Vec<PathBuf> {
+    Opened::new(path).map(|opened| opened.buffer_files()).unwrap_or_default()
+}
+
+/// Says what a placement has that is not used.
+fn note_ignored(opened: &Opened, placed: &Placed<'_>, feed: &mut Feed<'_>) {
+    let count = placed.vertex_count;
+    for (semantic, _) in placed.primitive.attributes() {
+        match semantic {
+            Semantic::Normals => feed.report.ignored.normals += count,
+            Semantic::TexCoords(_) => feed.report.ignored.texture_coordinates += count,
+            Semantic::Colors(_) => feed.report.ignored.vertex_colors += count,
+            _ => {}
+        }
+    }
+    if placed.is_skinned {
+        feed.report.warn_once(opened.path(), None, "skins are not used: what they move stays at rest".into());
+    }
+    if placed.primitive.morph_targets().len() > 0 {
+        feed.report.warn_once(opened.path(), None, "morph targets are not used".into());
+    }
+}
+
+/// Corners in the order of a primitive, made triangles.
+struct Faces {
+    mode: Mode,
+    first_vertex: u32,
+    /// A mirroring matrix turns a triangle's sides around; its corners are turned back.
+    is_mirrored: bool,
+    /// The last two corners, and how many came.
+    before: [u32; 2],
+    count: u64,
+}
+
+impl Faces {
+    fn new(placed: &Placed<'_>, first_vertex: u32) -> Faces {
+        Faces {
+            mode: placed.primitive.mode(),
+            first_vertex,
+            is_mirrored: placed.is_mirrored(),
+            before: [0; 2],
+            count: 0,
+        }
+    }
+
+    fn corner(&mut self, index: u32, feed: &mut Feed<'_>) -> Result<(), ImportError> {
+        let corner = self.first_vertex.wrapping_add(index);
+        let [a, b] = self.before;
+        let place = self.count;
+        self.count += 1;
+        match self.mode {
+            Mode::TriangleStrip => {
+                self.before = [b, corner];
+                match place {
+                    0 | 1 => Ok(()),
+                    // Every other triangle of a strip is the other way around.
+                    _ if place % 2 == 1 => self.send([b, a, corner], feed),
+                    _ => self.send([a, b, corner], feed),
+                }
+            }
+            Mode::TriangleFan => {
+                self.before = if place == 0 { [corner, corner] } else { [a, corner] };
+                if place < 2 { Ok(()) } else { self.send([a, b, corner], feed) }
+            }
+            // Triangles; others are not placed.
+            _ => {
+                self.before = [b, corner];
+                if place % 3 == 2 { self.send([a, b, corner], feed) } else { Ok(()) }
+            }
+        }
+    }
+
+    fn send(&self, [a, b, c]: [u32; 3], feed: &mut Feed<'_>) -> Result<(), ImportError> {
+        feed.triangle(if self.is_mirrored { [a, c, b] } else { [a, b, c] })
+    }
+
+    /// Whether corners are left that make no triangle.
+    fn is_cut_short(&self) -> bool {
+        match self.mode {
+            Mode::TriangleStrip | Mode::TriangleFan => self.count % 3 != 0 && self.count < 3,
+            _ => self.count % 3 != 0,
+        }
+    }
+}
+
+/// Which materials the sink has.
+struct Materials {
+    /// The material that the options' library gives, for everything.
+    replaced: Option<Option<MaterialId>>,
+    /// By index in the document.
+    sent: Vec<Option<MaterialId>>,
+}
+
+impl Materials {
+    fn new(path: &Path, options: &ImportOptions, feed: &mut Feed<'_>) -> Result<Materials, ImportError> {
+        let replaced = match &options.materials {
+            Some(_) => Some(super::library::Materials::new(path, options, feed)?.only(feed)),
+            None => None,
+        };
+        Ok(Materials { replaced, sent: Vec::new() })
+    }
+
+    /// The material of a primitive; `None` for the default one.
+    fn of(
+        &mut self,
+        opened: &Opened,
+        primitive: &Primitive<'_>,
+        feed: &mut Feed<'_>,
+    ) -> Result<Option<MaterialId>, ImportError> {
+        if let Some(replaced) = self.replaced {
+            return Ok(replaced);
+        }
+        let material = primitive.material();
+        let Some(index) = material.index() else { return Ok(None) };
+        // There is a material of that index: the document was checked.
+        if self.sent.len() <= index {
+            self.sent.resize(index + 1, None);
+        }
+        if self.sent[index].is_none() {
+            let record = material::record(opened, &material, &mut feed.report)?;
+            self.sent[index] = Some(feed.add_material(record)?);
+        }
+        Ok(self.sent[index])
+    }
+}
