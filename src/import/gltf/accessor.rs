@@ -23,31 +23,42 @@ pub(super) struct Elements {
     kind: DataType,
     is_normalized: bool,
     piece: Vec<u8>,
-    positions: Vec<[f32; 3]>,
-    indices: Vec<u32>,
-}
-
-/// Elements that were read at once.
-pub(super) struct Batch<'b, T> {
-    pub values: &'b [T],
-    /// Bytes of the buffer that they took.
-    pub bytes: u64,
 }
 
 impl Elements {
     /// The positions of a primitive.
     pub fn positions(opened: &Opened, placed: &Placed<'_>) -> Result<Elements, ImportError> {
-        let name = || format!("{}.attributes.POSITION", placed.name());
-        let Some(accessor) = placed.primitive.get(&Semantic::Positions) else {
-            return Err(opened.error(name(), "there are no positions"));
+        match Elements::vectors(opened, placed, &Semantic::Positions)? {
+            Some(elements) => Ok(elements),
+            None => Err(opened.error(placed.name(), "there are no positions")),
+        }
+    }
+
+    /// Vectors of a primitive, one for each position, if it has them: positions and normals of three numbers, texture coordinates of
+    /// two.
+    pub fn vectors(
+        opened: &Opened,
+        placed: &Placed<'_>,
+        semantic: &Semantic,
+    ) -> Result<Option<Elements>, ImportError> {
+        let name = || format!("{}.attributes.{}", placed.name(), semantic.to_string());
+        let Some(accessor) = placed.primitive.get(semantic) else { return Ok(None) };
+        let (wanted, numbers) = match semantic {
+            Semantic::TexCoords(_) => (Dimensions::Vec2, "two"),
+            _ => (Dimensions::Vec3, "three"),
         };
-        if accessor.dimensions() != Dimensions::Vec3 {
-            return Err(opened.error(name(), "positions must be vectors of three numbers"));
+        if accessor.dimensions() != wanted || accessor.data_type() == DataType::U32 {
+            return Err(opened.error(
+                name(),
+                format!("it must have vectors of {numbers} numbers, and no 32-bit integers"),
+            ));
         }
-        if accessor.data_type() == DataType::U32 {
-            return Err(opened.error(name(), "positions may not be 32-bit integers"));
+        if accessor.count() as u64 != placed.vertex_count {
+            let reason =
+                format!("it has {} elements beside {} positions", accessor.count(), placed.vertex_count);
+            return Err(opened.error(name(), reason));
         }
-        Elements::new(opened, &accessor, name())
+        Elements::new(opened, &accessor, name()).map(Some)
     }
 
     /// The indices of a primitive that has some.
@@ -91,8 +102,6 @@ impl Elements {
             kind: accessor.data_type(),
             is_normalized: accessor.normalized(),
             piece: Vec::new(),
-            positions: Vec::new(),
-            indices: Vec::new(),
         })
     }
 
@@ -110,34 +119,41 @@ impl Elements {
         Ok(count)
     }
 
-    /// The next positions.
-    pub fn next_positions(
+    /// Puts the next vectors into `into` and gives the bytes of the buffer that they took; `None` at the end.
+    pub fn next_vectors<const N: usize>(
         &mut self,
         bytes: &mut Bytes<'_>,
-    ) -> Result<Option<Batch<'_, [f32; 3]>>, ImportError> {
+        into: &mut Vec<[f32; N]>,
+    ) -> Result<Option<u64>, ImportError> {
         let count = self.refill(bytes)?;
-        self.positions.clear();
+        into.clear();
+        let part = self.size as usize / N;
         for element in self.piece.chunks(self.stride as usize).take(count as usize) {
-            let part = self.size as usize / 3;
-            let [x, y, z] =
-                [0, 1, 2].map(|axis| coordinate(self.kind, self.is_normalized, &element[axis * part..]));
-            self.positions.push([x, y, z]);
+            let mut vector = [0.0; N];
+            for (axis, number) in vector.iter_mut().enumerate() {
+                *number = coordinate(self.kind, self.is_normalized, &element[axis * part..]);
+            }
+            into.push(vector);
         }
-        Ok((count > 0).then_some(Batch { values: &self.positions, bytes: count * self.size }))
+        Ok((count > 0).then_some(count * self.size))
     }
 
-    /// The next indices.
-    pub fn next_indices(&mut self, bytes: &mut Bytes<'_>) -> Result<Option<Batch<'_, u32>>, ImportError> {
+    /// As [`Elements::next_vectors`], for indices.
+    pub fn next_indices(
+        &mut self,
+        bytes: &mut Bytes<'_>,
+        into: &mut Vec<u32>,
+    ) -> Result<Option<u64>, ImportError> {
         let count = self.refill(bytes)?;
-        self.indices.clear();
+        into.clear();
         for element in self.piece.chunks(self.stride as usize).take(count as usize) {
-            self.indices.push(match self.kind {
+            into.push(match self.kind {
                 DataType::U8 => u32::from(element[0]),
                 DataType::U16 => u32::from(u16::from_le_bytes(first(element))),
                 _ => u32::from_le_bytes(first(element)),
             });
         }
-        Ok((count > 0).then_some(Batch { values: &self.indices, bytes: count * self.size }))
+        Ok((count > 0).then_some(count * self.size))
     }
 }
 

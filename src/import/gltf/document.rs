@@ -69,12 +69,17 @@ impl Opened {
         ImportError::Element { path: self.path.clone(), element, reason: reason.into() }
     }
 
-    /// The path of a buffer that is named by a relative reference.
-    pub fn file_beside(&self, uri: &str) -> Option<PathBuf> {
+    /// A reference without its escapes, if it is relative to this file.
+    pub fn relative(&self, uri: &str) -> Option<String> {
         let decoded = percent_encoding::percent_decode_str(uri).decode_utf8().ok()?;
         // A scheme, or a path from the root: nothing that moves with the file.
         let is_local = !decoded.contains(':') && !decoded.starts_with(['/', '\\']);
-        is_local.then(|| self.path.parent().unwrap_or(Path::new("")).join(decoded.as_ref()))
+        is_local.then(|| decoded.into_owned())
+    }
+
+    /// The path of a buffer that is named by a relative reference.
+    pub fn file_beside(&self, uri: &str) -> Option<PathBuf> {
+        Some(self.path.parent().unwrap_or(Path::new("")).join(self.relative(uri)?))
     }
 
     /// The buffers that are files and are there.

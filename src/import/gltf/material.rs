@@ -1,17 +1,19 @@
 //! Metallic-roughness materials in the terms of MTL, in which the compiled file holds them.
 
-use gltf::Material;
+use gltf::image::Source;
 use gltf::material::AlphaMode;
+use gltf::texture::WrappingMode;
+use gltf::{Material, Texture};
 
 use super::super::report::ImportReport;
 use super::document::Opened;
 use crate::error::ImportError;
-use crate::model::MaterialRecord;
+use crate::model::{ImageMap, MaterialImages, MaterialRecord};
 
 /// Metals smoother than this mirror the scene; rougher ones only have a highlight.
 const MIRROR_ROUGHNESS_MAX: f32 = 0.25;
 
-/// The material nearest to `material`. Its textures are not read: their factors stand alone.
+/// The material nearest to `material`. Of its textures those of base colour and normals are named, if they are files.
 ///
 /// With base colour `c`, metalness `m`, roughness `r`, transmission `T` and refractive index `n` (appendix B of the
 /// specification): `Kd = c (1 - m) (1 - T)`, `Ks = f (1 - m) + c m` with `f = ((n - 1) / (n + 1))^2`, the Phong exponent is
@@ -24,7 +26,7 @@ pub(super) fn record(
     let index = material.index().unwrap_or(0);
     let surface = material.pbr_metallic_roughness();
     let [red, green, blue, alpha] = surface.base_color_factor();
-    let (color, metallic) = ([red, green, blue], surface.metallic_factor().clamp(0.0, 1.0));
+    let (factor, metallic) = ([red, green, blue], surface.metallic_factor().clamp(0.0, 1.0));
     let roughness = surface.roughness_factor().clamp(0.0, 1.0);
     let transmission = material.transmission().map_or(0.0, |part| part.transmission_factor().clamp(0.0, 1.0));
     // 1.5 is what the specification gives dielectrics.
@@ -44,18 +46,24 @@ pub(super) fn record(
         })
     });
     let emission = material.emissive_factor().map(|part| part * material.emissive_strength().unwrap_or(1.0));
-    if surface.base_color_texture().is_some()
-        || surface.metallic_roughness_texture().is_some()
-        || material.normal_texture().is_some()
-        || material.emissive_texture().is_some()
-    {
-        report.warn_once(opened.path(), None, "textures are not read; their factors stand alone".into());
+    if surface.metallic_roughness_texture().is_some() || material.emissive_texture().is_some() {
+        let text = "textures of metalness, roughness and emission are not read; their factors stand alone";
+        report.warn_once(opened.path(), None, text.into());
     }
+    let mut map = |texture: Texture<'_>, set: u32| image_map(opened, &texture, set, report);
+    let color = surface.base_color_texture().and_then(|info| map(info.texture(), info.tex_coord()));
+    let images = MaterialImages {
+        // What reflects like a metal has the colour in its highlight.
+        specular: color.clone().filter(|_| metallic > 0.5),
+        diffuse: color,
+        normal: material.normal_texture().and_then(|info| map(info.texture(), info.tex_coord())),
+        ..MaterialImages::default()
+    };
     let name = material.name().map_or_else(|| format!("material {index}"), str::to_string);
     let record = MaterialRecord {
         name,
-        diffuse: color.map(|part| part * (1.0 - metallic) * (1.0 - transmission)),
-        specular: color.map(|part| facing * (1.0 - metallic) + part * metallic),
+        diffuse: factor.map(|part| part * (1.0 - metallic) * (1.0 - transmission)),
+        specular: factor.map(|part| facing * (1.0 - metallic) + part * metallic),
         // An exponent beyond a million is a mirror's.
         shininess: (2.0 / roughness.powi(4) - 2.0).clamp(1.0, 1e6),
         emission,
@@ -64,6 +72,7 @@ pub(super) fn record(
         // What does not bend light has 1 in MTL.
         refractive_index: if transmission > 0.0 { refractive_index } else { 1.0 },
         mirror: metallic > 0.5 && roughness <= MIRROR_ROUGHNESS_MAX,
+        images: (images != MaterialImages::default()).then(|| Box::new(images)),
     };
     let numbers = [record.diffuse, record.specular, record.emission, record.transmission];
     if numbers.iter().flatten().chain([&record.opacity, &refractive_index]).any(|number| !number.is_finite())
@@ -71,4 +80,32 @@ pub(super) fn record(
         return Err(opened.error(format!("materials[{index}]"), "a factor is not finite"));
     }
     Ok(record)
+}
+
+/// The picture of a texture, unless it cannot be used: then a warning says why.
+fn image_map(
+    opened: &Opened,
+    texture: &Texture<'_>,
+    set: u32,
+    report: &mut ImportReport,
+) -> Option<ImageMap> {
+    let mut warn = |text: &str| report.warn_once(opened.path(), None, text.into());
+    if set != 0 {
+        warn("a texture with texture coordinates of another set than the first is left out");
+        return None;
+    }
+    let Source::Uri { uri, .. } = texture.source().source() else {
+        warn("textures inside the file are left out; keep them in files of their own");
+        return None;
+    };
+    let Some(path) = opened.relative(uri) else {
+        warn("a texture that is no file beside this one is left out");
+        return None;
+    };
+    let sampler = texture.sampler();
+    let clamps = [sampler.wrap_s(), sampler.wrap_t()].map(|mode| mode == WrappingMode::ClampToEdge);
+    if clamps[0] != clamps[1] || sampler.wrap_s() == WrappingMode::MirroredRepeat {
+        warn("a texture that does not go on in both directions alike, or that is mirrored, is repeated");
+    }
+    Some(ImageMap { clamp: clamps == [true; 2], ..ImageMap::new(path) })
 }

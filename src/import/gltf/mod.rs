@@ -4,7 +4,8 @@
 //! the node's matrix in f64 and its triangles get ids in the order of the tree, so a mesh that is placed twice is there
 //! twice. Only the JSON text is held in memory ([`JSON_BYTES_MAX`] at most); buffers are read in pieces.
 //!
-//! Skins and morph targets stay at rest, textures and attributes other than positions are left out; the report says so.
+//! Normals and the first set of texture coordinates go along, if the sink takes them. Skins and morph targets stay at rest; the report says
+//! so, and what else was left out.
 
 mod accessor;
 mod bytes;
@@ -25,7 +26,7 @@ pub(crate) use self::placement::visit;
 use self::placement::{Placed, placements};
 use super::feed::Feed;
 use super::report::{ImportOptions, ImportReport};
-use super::sink::MeshSink;
+use super::sink::{MeshSink, NO_INDEX};
 use crate::error::ImportError;
 use crate::units::MaterialId;
 
@@ -50,13 +51,15 @@ pub(super) fn read(
     // Vertices first: a sink that knows them all places triangles as they come.
     let moves = placed.iter().any(|placed| !placed.is_in_place());
     let mut firsts = Vec::with_capacity(placed.len());
+    let mut vectors = Vec::new();
     for placed in &placed {
-        firsts.push(feed.vertex_count());
+        let attributes = Attributes::send(&opened, placed, &mut bytes, &mut feed)?;
+        firsts.push((feed.vertex_count(), attributes));
         note_ignored(&opened, placed, &mut feed);
         let mut positions = Elements::positions(&opened, placed)?;
-        while let Some(batch) = positions.next_positions(&mut bytes)? {
-            progress.0 += batch.bytes;
-            for position in batch.values {
+        while let Some(read) = positions.next_vectors(&mut bytes, &mut vectors)? {
+            progress.0 += read;
+            for position in &vectors {
                 match moves {
                     true => feed.vertex64(placed.at(*position))?,
                     false => feed.vertex32(*position)?,
@@ -66,11 +69,12 @@ pub(super) fn read(
         }
     }
     feed.vertices_complete()?;
-    for (placed, first) in placed.iter().zip(firsts) {
+    let mut indices = Vec::new();
+    for (placed, (first, attributes)) in placed.iter().zip(firsts) {
         let material = materials.of(&opened, &placed.primitive, &mut feed)?;
         feed.set_material(material)?;
-        // More are refused by the feed.
-        let mut faces = Faces::new(placed, first as u32);
+        // More vertices are refused by the feed.
+        let mut faces = Faces::new(placed, first as u32, attributes);
         match placed.primitive.indices() {
             None => {
                 for index in 0..placed.vertex_count {
@@ -78,12 +82,12 @@ pub(super) fn read(
                 }
             }
             Some(_) => {
-                let mut indices = Elements::indices(&opened, placed)?;
-                while let Some(batch) = indices.next_indices(&mut bytes)? {
-                    progress.0 += batch.bytes;
-                    for index in batch.values {
+                let mut elements = Elements::indices(&opened, placed)?;
+                while let Some(read) = elements.next_indices(&mut bytes, &mut indices)? {
+                    progress.0 += read;
+                    for index in &indices {
                         if u64::from(*index) >= placed.vertex_count {
-                            let reason = format!("names vertex {index} of {}", placed.vertex_count);
+                            let reason = format!("it names vertex {index} of {}", placed.vertex_count);
                             return Err(opened.error(placed.name(), reason));
                         }
                         faces.corner(*index, &mut feed)?;
@@ -106,10 +110,13 @@ pub(super) fn named_files(path: &Path) -> Vec<PathBuf> {
 /// Says what a placement has that is not used.
 fn note_ignored(opened: &Opened, placed: &Placed<'_>, feed: &mut Feed<'_>) {
     let count = placed.vertex_count;
+    let is_taken = feed.takes_attributes();
     for (semantic, _) in placed.primitive.attributes() {
         match semantic {
-            Semantic::Normals => feed.report.ignored.normals += count,
-            Semantic::TexCoords(_) => feed.report.ignored.texture_coordinates += count,
+            Semantic::Normals if !is_taken => feed.report.ignored.normals += count,
+            Semantic::TexCoords(set) if set > 0 || !is_taken => {
+                feed.report.ignored.texture_coordinates += count
+            }
             Semantic::Colors(_) => feed.report.ignored.vertex_colors += count,
             _ => {}
         }
@@ -122,10 +129,57 @@ fn note_ignored(opened: &Opened, placed: &Placed<'_>, feed: &mut Feed<'_>) {
     }
 }
 
+/// The first texture coordinate and the first normal of a placement, where it has them.
+#[derive(Clone, Copy)]
+struct Attributes([Option<u32>; 2]);
+
+impl Attributes {
+    /// Sends what a placement has, if the sink has a use for it.
+    fn send(
+        opened: &Opened,
+        placed: &Placed<'_>,
+        bytes: &mut Bytes<'_>,
+        feed: &mut Feed<'_>,
+    ) -> Result<Attributes, ImportError> {
+        let mut firsts = [None; 2];
+        if !feed.takes_attributes() {
+            return Ok(Attributes(firsts));
+        }
+        // Attributes are numbered like vertices, of which there are fewer than 2^32.
+        let [uvs, normals] = feed.attribute_counts().map(|count| count as u32);
+        if let Some(mut elements) = Elements::vectors(opened, placed, &Semantic::TexCoords(0))? {
+            firsts[0] = Some(uvs);
+            let mut vectors = Vec::new();
+            while elements.next_vectors(bytes, &mut vectors)?.is_some() {
+                for [u, v] in &vectors {
+                    // From the upper left corner of an image in the file, from the lower left one here.
+                    feed.uv([*u, 1.0 - v])?;
+                }
+            }
+        }
+        if let Some(mut elements) = Elements::vectors(opened, placed, &Semantic::Normals)? {
+            firsts[1] = Some(normals);
+            let mut vectors = Vec::new();
+            while elements.next_vectors(bytes, &mut vectors)?.is_some() {
+                for normal in &vectors {
+                    feed.normal(placed.normal(*normal))?;
+                }
+            }
+        }
+        Ok(Attributes(firsts))
+    }
+
+    /// Those of one vertex.
+    fn of(self, index: u32) -> [u32; 2] {
+        self.0.map(|first| first.map_or(NO_INDEX, |first| first.wrapping_add(index)))
+    }
+}
+
 /// Corners in the order of a primitive, made triangles.
 struct Faces {
     mode: Mode,
     first_vertex: u32,
+    attributes: Attributes,
     /// A mirroring matrix turns a triangle's sides around; its corners are turned back.
     is_mirrored: bool,
     /// The last two corners, and how many came.
@@ -134,18 +188,18 @@ struct Faces {
 }
 
 impl Faces {
-    fn new(placed: &Placed<'_>, first_vertex: u32) -> Faces {
+    fn new(placed: &Placed<'_>, first_vertex: u32, attributes: Attributes) -> Faces {
         Faces {
             mode: placed.primitive.mode(),
             first_vertex,
+            attributes,
             is_mirrored: placed.is_mirrored(),
             before: [0; 2],
             count: 0,
         }
     }
 
-    fn corner(&mut self, index: u32, feed: &mut Feed<'_>) -> Result<(), ImportError> {
-        let corner = self.first_vertex.wrapping_add(index);
+    fn corner(&mut self, corner: u32, feed: &mut Feed<'_>) -> Result<(), ImportError> {
         let [a, b] = self.before;
         let place = self.count;
         self.count += 1;
@@ -172,7 +226,12 @@ impl Faces {
     }
 
     fn send(&self, [a, b, c]: [u32; 3], feed: &mut Feed<'_>) -> Result<(), ImportError> {
-        feed.triangle(if self.is_mirrored { [a, c, b] } else { [a, b, c] })
+        let corners = if self.is_mirrored { [a, c, b] } else { [a, b, c] };
+        let vertices = corners.map(|corner| self.first_vertex.wrapping_add(corner));
+        match self.attributes.0 {
+            [None, None] => feed.triangle(vertices),
+            _ => feed.triangle_with(vertices, corners.map(|corner| self.attributes.of(corner))),
+        }
     }
 
     /// Whether corners are left that make no triangle.

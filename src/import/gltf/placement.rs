@@ -1,6 +1,6 @@
 //! Which primitives a scene has, and where.
 
-use glam::{DMat4, DQuat, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec3};
 use gltf::mesh::Mode;
 use gltf::scene::Transform;
 use gltf::{Node, Primitive, Scene, Semantic};
@@ -43,6 +43,19 @@ impl Placed<'_> {
             return position.map(f64::from);
         }
         self.matrix.transform_point3(DVec3::from_array(position.map(f64::from))).to_array()
+    }
+}
+
+impl Placed<'_> {
+    /// A normal of the primitive, turned as its surface is; not of unit length.
+    pub fn normal(&self, normal: [f32; 3]) -> [f32; 3] {
+        let linear = DMat3::from_mat4(self.matrix);
+        // Of the matrix of cofactors, which turns normals as the matrix turns surfaces, also where it has no inverse.
+        let [x, y, z] = [linear.x_axis, linear.y_axis, linear.z_axis];
+        let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+        let turned = cofactors * DVec3::from_array(normal.map(f64::from));
+        let turned = if self.is_mirrored() { -turned } else { turned };
+        turned.normalize_or_zero().as_vec3().to_array()
     }
 }
 

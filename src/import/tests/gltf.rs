@@ -247,6 +247,65 @@ fn materials_become_those_of_mtl() {
 }
 
 #[test]
+fn attributes_and_pictures_go_along() {
+    let mut sample = square();
+    let uvs = [[0.0f32, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]];
+    let normals = [[0.0f32, 0.0, 1.0], [0.0, 0.0, 2.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]];
+    sample.buffer.extend([0; 2]);
+    sample.buffer.extend(uvs.iter().flatten().chain(normals.iter().flatten()).flat_map(|x| x.to_le_bytes()));
+    let document = &mut sample.document;
+    document["buffers"][0]["byteLength"] = json!(64 + 32 + 48);
+    document["bufferViews"].as_array_mut().unwrap().extend([
+        json!({ "buffer": 0, "byteOffset": 64, "byteLength": 32 }),
+        json!({ "buffer": 0, "byteOffset": 96, "byteLength": 48 }),
+    ]);
+    document["accessors"].as_array_mut().unwrap().extend([
+        json!({ "bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC2" }),
+        json!({ "bufferView": 3, "componentType": 5126, "count": 4, "type": "VEC3" }),
+    ]);
+    let primitive = &mut document["meshes"][0]["primitives"][0];
+    primitive["attributes"] = json!({ "POSITION": 0, "TEXCOORD_0": 2, "NORMAL": 3 });
+    primitive["material"] = json!(0);
+    // Placed twice, once with x turned over and half as wide.
+    document["scenes"][0]["nodes"] = json!([0, 1]);
+    document["nodes"] = json!([{ "mesh": 0 }, { "mesh": 0, "scale": [-0.5, 1, 1] }]);
+    document["images"] = json!([{ "uri": "a%20picture.png" }, { "bufferView": 0, "mimeType": "image/png" }]);
+    document["samplers"] = json!([{ "wrapS": 33071, "wrapT": 33071 }]);
+    document["textures"] = json!([{ "source": 0, "sampler": 0 }, { "source": 1 }]);
+    document["materials"] = json!([{
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "metallicFactor": 0 },
+        "normalTexture": { "index": 1 }
+    }]);
+
+    let folder = Folder::new();
+    let path = folder.write("x.glb", sample.binary());
+    let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
+    let report = import_file(&path, &ImportOptions::default(), &mut mesh).unwrap();
+    super::check(&mesh, &report);
+    assert_eq!(mesh.triangle_uvs, [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]]);
+    assert_eq!(mesh.triangle_normals, mesh.triangle_uvs);
+    assert_eq!(mesh.uvs[..4], uvs.map(|[u, v]| [u, 1.0 - v]));
+    assert_eq!(mesh.normals[1], [0.0, 0.0, 1.0]);
+    let slope = |[x, _, z]: [f32; 3]| x / z;
+    // Half as wide, the surface is twice as steep, and to the other side.
+    assert!((slope(mesh.normals[2]) - 1.0).abs() < 1e-6 && (slope(mesh.normals[6]) + 2.0).abs() < 1e-6);
+    let images = mesh.materials[0].images.as_ref().unwrap();
+    let picture = images.diffuse.as_ref().unwrap();
+    assert_eq!((picture.path.as_str(), picture.clamp), ("a picture.png", true));
+    assert!(images.normal.is_none() && images.specular.is_none(), "a picture inside the file is left out");
+    assert_eq!(report.warning_count, 1, "{:?}", report.warnings);
+
+    // A sink that has no use for them gets none, and the report says so.
+    let (mesh, report) = folder.import("y.glb", sample.binary()).unwrap();
+    assert!(mesh.uvs.is_empty() && mesh.triangle_normals.is_empty());
+    assert_eq!((report.ignored.normals, report.ignored.texture_coordinates), (8, 8));
+    let short = sample.with("/accessors/2/count", json!(3));
+    let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
+    let outcome = import_file(&folder.write("z.glb", short.binary()), &ImportOptions::default(), &mut mesh);
+    assert!(refused(outcome.map(|report| (mesh, report))).1.contains("3 elements beside 4"));
+}
+
+#[test]
 fn what_is_not_supported_says_where() {
     let sample = square();
     let reason = |place: &str, value: Value| refused(sample.with(place, value).import());
