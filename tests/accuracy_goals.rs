@@ -18,7 +18,7 @@ use outcrop::geom::Precision;
 use outcrop::octree::{OctreeOptions, Tier};
 use outcrop::procedural::{Assembly, Gears, GlassStack, Icosphere, Shape, Terrain, Tessellation};
 use outcrop::render::{Film, RenderSettings, Renderer};
-use outcrop::scene::{Camera, Light, Scene};
+use outcrop::scene::{Camera, Light, LightShape, Scene};
 use outcrop::source::MemorySource;
 use outcrop::units::Bytes;
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
@@ -175,6 +175,21 @@ fn bounds_hold_as_often_as_they_say() {
         // At 95 %, two misses of ten happen once in ten times.
         assert!(held.iter().all(|held| *held >= 8), "{}: {held:?} of {RUNS}", metric.name());
         assert!(met >= 8, "{}: {met} of {RUNS} met", metric.name());
+    }
+}
+
+#[test]
+fn what_is_proven_of_luck_is_proven_in_expectation() {
+    let (source, scene) = still_life();
+    let (octree, budget) = open(&source, Tier::Certified);
+    let options = GoalOptions::new(Goal::MaxError { metric: Metric::Rmse, bound: 0.1 });
+    let lamp = LightShape::Sphere { center: [2.0, -2.5, 2.5], radius: 0.2 };
+    let with_lamp = scene.clone().with_light(Light::area(lamp, [5.0; 3]));
+    for (scene, is_sampled) in [(scene, false), (with_lamp, true)] {
+        let certificate = to_goal(&octree, &budget, &scene, &options).certificate;
+        assert_eq!(certificate.cut_off.in_expectation, is_sampled);
+        let text = certificate.to_string();
+        assert_eq!(text.contains("proven in expectation: light cut off"), is_sampled, "{text}");
     }
 }
 

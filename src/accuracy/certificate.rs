@@ -82,6 +82,8 @@ pub struct CutOffBounds {
     pub rmse: f64,
     /// What any channel of any pixel lacks, at most.
     pub max: f64,
+    /// Whether the picture has effects that are sampled, so that both hold in expectation only.
+    pub in_expectation: bool,
 }
 
 impl CutOffBounds {
@@ -201,8 +203,9 @@ impl fmt::Display for Certificate {
             }
             None => writeln!(f, "not proven: hits of this tier have no bound")?,
         }
-        let CutOffBounds { rmse, max } = self.cut_off;
-        writeln!(f, "proven: light cut off adds at most {rmse:.2e} RMSE, {max:.2e} in any pixel")?;
+        let CutOffBounds { rmse, max, in_expectation } = self.cut_off;
+        let how = if in_expectation { "proven in expectation" } else { "proven" };
+        writeln!(f, "{how}: light cut off adds at most {rmse:.2e} RMSE, {max:.2e} in any pixel")?;
         match &self.estimates {
             Some(estimates) => {
                 for Estimate { metric, value, upper } in estimates {

@@ -20,7 +20,7 @@ use crate::render::{
     AdaptiveSampling, Film, Outcome, Progress, RenderSettings, RenderedImage, Renderer, normal_quantile,
     resample, worker_count,
 };
-use crate::scene::Scene;
+use crate::scene::{Effect, EffectPlan, Scene};
 use crate::units::{Bytes, TileId};
 
 /// Pixels that a probe looks at, at most one in [`PROBE_SHARE`].
@@ -562,6 +562,7 @@ impl Job<'_, '_> {
             cut_off: CutOffBounds {
                 rmse: cut_off(Metric::Rmse, lost()).unwrap_or(0.0),
                 max: cut_off(Metric::Max, lost()).unwrap_or(0.0),
+                in_expectation: self.has_sampled_effects(),
             },
             estimates,
             check,
@@ -571,6 +572,20 @@ impl Job<'_, '_> {
             counters: self.counters,
             seconds: GoalSeconds { total: self.start.elapsed().as_secs_f64(), ..self.seconds },
         })
+    }
+
+    /// Whether any effect chooses its rays by luck.
+    fn has_sampled_effects(&self) -> bool {
+        let plan = EffectPlan::scan(self.scene, self.octree.model(), &self.settings.effect_options());
+        [
+            Effect::AreaLight,
+            Effect::EnvironmentLight,
+            Effect::GlossyReflection,
+            Effect::RoughRefraction,
+            Effect::Interreflection,
+        ]
+        .iter()
+        .any(|effect| plan.has(*effect))
     }
 
     /// The mean square error that samples show: the picture's own, or further ones where these had a say in stopping.
