@@ -18,6 +18,8 @@ cluster_render: makes one picture with many processes, on this machine or on man
     cluster_render --role worker [MODEL] --connect HOST:PORT     on others, as many as there are; at any time
     cluster_render --role reader MODEL --connect HOST:PORT --listen HOST:PORT
     cluster_render --hosts FILE [--node N] [MODEL]               role and addresses from a host file
+    mpirun -n 6 cluster_render [MODEL]                           built with --features mpi: rank 0 is the coordinator, then
+                                                                 come --readers, and the others are workers
 
 MODEL is a compiled .outcrop file, the same on all nodes. A worker without it takes its blocks from the readers. Without a MODEL,
 the coordinator makes gears in code. docs/cluster.md tells more.
@@ -50,6 +52,7 @@ resources
     --verbose               tell who comes and goes
 ";
 
+#[derive(Clone)]
 pub struct Options {
     pub model: Option<PathBuf>,
     pub role: Option<HostRole>,
@@ -70,6 +73,9 @@ pub struct Options {
     pub verify: bool,
     pub workers: u32,
     pub readers: usize,
+    /// `--readers`, if it was given.
+    #[cfg_attr(not(feature = "mpi"), expect(dead_code, reason = "only ranks choose by themselves"))]
+    pub readers_asked: Option<usize>,
     pub lanes: u16,
     pub memory: Bytes,
     pub verbose: bool,
@@ -97,6 +103,7 @@ impl Options {
             verify: false,
             workers: 3,
             readers: 2,
+            readers_asked: None,
             lanes: 1,
             memory: Bytes::mib(128),
             verbose: false,
@@ -144,6 +151,7 @@ impl Options {
         options.size = size.unwrap_or(options.size);
         options.gears_n = gears_n.unwrap_or(options.gears_n);
         let alone = if options.role.is_none() { 2 } else { 0 };
+        options.readers_asked = readers;
         options.readers = readers.unwrap_or(alone);
         if let Some(path) = hosts {
             let text =

@@ -135,10 +135,12 @@ impl MpiJob {
     /// A function that does what [`MpiJob::abort`] does, for a hook of panics or of signals.
     pub fn aborter(&self) -> impl Fn(i32) + Send + Sync + 'static {
         let shared = Arc::clone(&self.shared);
-        move |code| shared.with(|nodes| {
-            nodes.abort.get_or_insert(code);
-            nodes.is_called = true;
-        })
+        move |code| {
+            shared.with(|nodes| {
+                nodes.abort.get_or_insert(code);
+                nodes.is_called = true;
+            })
+        }
     }
 
     fn request_abort(&self, code: i32) {

@@ -93,8 +93,7 @@ impl Nodes {
     fn add_way(&mut self, node: u64, rank: i32, theirs: u64, phase: Phase) -> u64 {
         let number = self.number();
         let queue = VecDeque::new();
-        let way =
-            Way { node, rank, phase, theirs, queue, queue_bytes: 0, unacknowledged: 0, taken: 0 };
+        let way = Way { node, rank, phase, theirs, queue, queue_bytes: 0, unacknowledged: 0, taken: 0 };
         self.ways.insert(number, way);
         number
     }
@@ -213,7 +212,8 @@ impl Nodes {
                 }
             }
             (Letter::Taken { bytes, .. }, Some(way)) => {
-                way.unacknowledged = way.unacknowledged.saturating_sub(usize::try_from(bytes).unwrap_or(usize::MAX));
+                way.unacknowledged =
+                    way.unacknowledged.saturating_sub(usize::try_from(bytes).unwrap_or(usize::MAX));
                 self.busy.push_back(to);
             }
             (Letter::End { reason, .. }, Some(_)) => {
