@@ -44,11 +44,11 @@ impl Network<'_> {
     }
 
     /// A reader's node.
-    pub fn reader(&self, name: &str, options: &Options) -> Result<Box<dyn Transport>, Box<dyn Error>> {
+    pub fn reader(&self, name: &str, listen: Option<&str>) -> Result<Box<dyn Transport>, Box<dyn Error>> {
         Ok(match self {
             Network::Tcp(key) => {
-                let listen = options.listen.clone().unwrap_or_else(|| "127.0.0.1:0".to_owned());
-                let tcp = TcpOptions { listen: Some(listen), ..TcpOptions::connecting(name) };
+                let listen = Some(listen.unwrap_or("127.0.0.1:0").to_owned());
+                let tcp = TcpOptions { listen, ..TcpOptions::connecting(name) };
                 Box::new(TcpTransport::open((*key).clone(), tcp)?)
             }
             #[cfg(feature = "mpi")]

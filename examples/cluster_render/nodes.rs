@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use outcrop::cluster::{
-    Checkpoint, Coordinator, CoordinatorOptions, HostRole, Job, Reader, RemoteOptions, RoleOptions,
-    WorkerOptions, model_key, run_coordinator, run_reader, run_worker,
+    Checkpoint, Coordinator, CoordinatorOptions, CopyOptions, HostRole, Job, Reader, RemoteOptions,
+    RoleOptions, WorkerOptions, model_key, run_coordinator, run_reader, run_worker,
 };
 use outcrop::compile::{CompileOptions, Control, compile_shape};
 use outcrop::model::Model;
@@ -122,7 +122,7 @@ pub fn coordinate(
     let coordinator_options = CoordinatorOptions {
         roles: RoleOptions::default(),
         schedule: SchedulerOptions::new(options.workers * u32::from(options.lanes)),
-        readers: options.readers,
+        readers: options.readers + usize::from(options.ship.is_some()),
     };
     let digest = Coordinator::new(job.clone(), coordinator_options, &budget)?.job_digest();
     let (checkpoint, records) = Checkpoint::open(&options.checkpoint, digest)?;
@@ -143,6 +143,8 @@ pub fn coordinate(
         println!("listening at {address}");
     }
 
+    let shipping = if options.ship.is_some() { Some(ship(options, network, &path, &address)?) } else { None };
+
     let mut observe = |coordinator: &Coordinator, log: &[String]| {
         for line in log.iter().filter(|line| options.verbose || line.starts_with("refused")) {
             meter.note(line);
@@ -155,6 +157,11 @@ pub fn coordinate(
     let patience = options.patience;
     let done = run_coordinator(&*hub, coordinator, Some(checkpoint), patience, &mut observe)?;
     meter.finish();
+    if let Some((stop, shipping)) = shipping {
+        stop.store(true, Ordering::Relaxed);
+        // What it has to say, it has logged.
+        let _ = shipping.join();
+    }
     hub.close();
     crew.wait();
 
@@ -177,6 +184,35 @@ pub fn coordinate(
         verify(&done, &job, file)?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// A reader in the coordinator's process, for workers that have no file and no other reader. Ends with the picture.
+fn ship(
+    options: &Options,
+    network: &Network<'_>,
+    path: &Path,
+    coordinator: &str,
+) -> Result<(Arc<AtomicBool>, JoinHandle<()>), Box<dyn Error>> {
+    const NAME: &str = "coordinator's file";
+    let transport = network.reader(NAME, options.ship.as_deref())?;
+    let address = transport.address().ok_or("the coordinator's file is listened for nowhere")?;
+    let budget = MemoryBudget::new(options.memory);
+    let file = Arc::new(open(path)?);
+    let reader = Reader::new(file, NAME, &address, options.memory, &budget, RoleOptions::default())?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let (flag, coordinator) = (Arc::clone(&stop), coordinator.to_owned());
+    let (patience, verbose) = (options.patience, options.verbose);
+    let thread = thread::spawn(move || {
+        let mut log = |line: &str| {
+            if verbose {
+                eprintln!("{line}");
+            }
+        };
+        if let Err(error) = run_reader(&*transport, reader, &coordinator, patience, &flag, &mut log) {
+            eprintln!("{NAME}: {error}");
+        }
+    });
+    Ok((stop, thread))
 }
 
 fn report(done: &Coordinator) {
@@ -248,10 +284,15 @@ pub fn work(
         Some(path) => Some(Arc::new(open(path)?) as Arc<dyn BlockSource>),
         None => None,
     };
+    let copy = match &options.keep {
+        Some(path) => Some(CopyOptions::new(path, network.worker(&format!("{name}, copy"))?)),
+        None => None,
+    };
     let worker = WorkerOptions {
         name,
         lanes: options.lanes,
         file,
+        copy,
         budget: MemoryBudget::new(options.memory),
         octree: OctreeOptions::default(),
         remote: RemoteOptions::default(),
@@ -267,8 +308,22 @@ pub fn work(
     println!("{} cells; {} blocks loaded", report.worker.cells, report.trace.blocks_loaded);
     if let Some(remote) = report.remote {
         println!(
-            "blocks from their readers {}, from other readers {}, from disk {}; damaged {}; {} messages asked for them",
-            remote.from_owner, remote.from_other, remote.from_fallback, remote.damaged, remote.requests
+            "blocks from their readers {}, from other readers {}, from disk {}, from the copy {}; damaged {}; {} messages asked for them",
+            remote.from_owner,
+            remote.from_other,
+            remote.from_fallback,
+            remote.from_copy,
+            remote.damaged,
+            remote.requests
+        );
+    }
+    if let Some(copy) = report.copy {
+        println!(
+            "a copy of the file, {}: {} blocks kept, {} fetched; damaged {}",
+            if copy.is_complete { "complete" } else { "not complete yet" },
+            copy.blocks_kept,
+            copy.blocks_fetched,
+            copy.damaged
         );
     }
     Ok(ExitCode::SUCCESS)
@@ -281,7 +336,7 @@ pub fn read(
 ) -> Result<ExitCode, Box<dyn Error>> {
     let name = options.name.clone().unwrap_or_else(|| format!("reader {}", std::process::id()));
     let path = options.model.as_ref().ok_or("a reader needs the compiled model")?;
-    let transport = network.reader(&name, options)?;
+    let transport = network.reader(&name, options.listen.as_deref())?;
     let own = transport.address().ok_or("the reader listens nowhere")?;
     let address = options.advertise.clone().unwrap_or(own);
     let budget = MemoryBudget::new(options.memory);

@@ -34,6 +34,7 @@ network
     --connect HOST:PORT     where the coordinator is
     --hosts FILE            lines `HOST[:PORT] coordinator|worker|reader`
     --node N                this node's line in it, from 0; the variable SLURM_PROCID if not given
+    --ship HOST:PORT        the coordinator serves the file, too, here; for workers without it, where there is no reader
     --name NAME             what this node calls itself in the logs of others
     --patience SECONDS      how long to wait for a coordinator, or for any worker (60)
 picture
@@ -49,6 +50,7 @@ resources
     --readers N             readers that are started, or expected (2; 0 with --role coordinator)
     --lanes N               threads of a worker (1)
     --memory BYTES          budget of each node (128MiB)
+    --keep FILE             a worker without the model makes itself a copy while it renders, and goes on with an unfinished one
     --verbose               tell who comes and goes
 ";
 
@@ -76,6 +78,9 @@ pub struct Options {
     /// `--readers`, if it was given.
     #[cfg_attr(not(feature = "mpi"), expect(dead_code, reason = "only ranks choose by themselves"))]
     pub readers_asked: Option<usize>,
+    /// Where the coordinator serves the file.
+    pub ship: Option<String>,
+    pub keep: Option<PathBuf>,
     pub lanes: u16,
     pub memory: Bytes,
     pub verbose: bool,
@@ -104,6 +109,8 @@ impl Options {
             workers: 3,
             readers: 2,
             readers_asked: None,
+            ship: None,
+            keep: None,
             lanes: 1,
             memory: Bytes::mib(128),
             verbose: false,
@@ -139,6 +146,8 @@ impl Options {
                 "--small" => options.is_small = true,
                 "--workers" => options.workers = arguments.value()?,
                 "--readers" => readers = Some(arguments.value()?),
+                "--ship" => options.ship = Some(arguments.text()?),
+                "--keep" => options.keep = Some(arguments.path()?),
                 "--lanes" => options.lanes = arguments.value()?,
                 "--memory" => options.memory = arguments.value()?,
                 "--verbose" => options.verbose = true,
