@@ -518,6 +518,12 @@ pub enum TransportError {
         /// Its number.
         peer: u64,
     },
+    /// MPI cannot be used.
+    #[error("MPI cannot be used: {reason}")]
+    Mpi {
+        /// Why not.
+        reason: String,
+    },
     /// The transport was closed.
     #[error("the transport is closed")]
     Closed,

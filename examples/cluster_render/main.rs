@@ -1,10 +1,13 @@
-//! Makes one picture with many processes: coordinator, workers and readers over TCP, on this machine or on many.
+//! Makes one picture with many processes: coordinator, workers and readers over TCP or MPI, on this machine or on many.
 
 #[path = "../common/mod.rs"]
 mod common;
 mod crew;
+mod network;
 mod nodes;
 mod options;
+#[cfg(feature = "mpi")]
+mod ranks;
 mod timeline;
 
 use std::error::Error;
@@ -30,7 +33,27 @@ fn run(arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
         write_key(path).map_err(|error| format!("cannot write {}: {error}", path.display()))?;
         return Ok(ExitCode::SUCCESS);
     }
+    // A role or a host file says that the launcher only starts processes, and TCP carries them.
+    if options.role.is_none() && is_launched() {
+        return launched(&options);
+    }
     nodes::run(&options)
+}
+
+/// Whether `mpirun` or its like seems to have started more than this process.
+fn is_launched() -> bool {
+    let several = |name| std::env::var(name).is_ok_and(|ranks| ranks.trim() != "1");
+    ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"].into_iter().any(several)
+}
+
+#[cfg(feature = "mpi")]
+fn launched(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
+    ranks::run(options)
+}
+
+#[cfg(not(feature = "mpi"))]
+fn launched(_: &Options) -> Result<ExitCode, Box<dyn Error>> {
+    Err("started by mpirun, but built without MPI; build with --features mpi, or give each process its --role".into())
 }
 
 /// A new key in a file that only its owner may read. Never over an existing file.

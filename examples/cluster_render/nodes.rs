@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use outcrop::cluster::{
-    Checkpoint, Coordinator, CoordinatorOptions, HostRole, Job, Reader, RemoteOptions, RoleOptions,
-    WorkerOptions, model_key, run_coordinator, run_reader, run_worker,
+    Checkpoint, Coordinator, CoordinatorOptions, CopyOptions, HostRole, Job, Reader, RemoteOptions,
+    RoleOptions, WorkerOptions, model_key, run_coordinator, run_reader, run_worker,
 };
 use outcrop::compile::{CompileOptions, Control, compile_shape};
 use outcrop::model::Model;
@@ -20,13 +20,14 @@ use outcrop::render::{RenderSettings, Renderer, Threads};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
 use outcrop::source::{DiskSource, PageCache};
-use outcrop::transport::{SharedKey, TcpOptions, TcpTransport, Transport};
+use outcrop::transport::SharedKey;
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 
 use crate::common::gears_view;
 use crate::common::interrupt::Interrupt;
 use crate::common::progress::Meter;
 use crate::crew::Crew;
+use crate::network::Network;
 use crate::options::Options;
 use crate::timeline::timeline_svg;
 
@@ -34,10 +35,11 @@ use crate::timeline::timeline_svg;
 pub fn run(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
     let key = key(options)?;
     let interrupt = Interrupt::install()?;
+    let network = Network::Tcp(&key);
     match options.role {
-        None | Some(HostRole::Coordinator) => coordinate(options, &key, &interrupt),
-        Some(HostRole::Worker) => work(options, key, &interrupt),
-        Some(HostRole::Reader) => read(options, key, &interrupt),
+        None | Some(HostRole::Coordinator) => coordinate(options, &network, &interrupt),
+        Some(HostRole::Worker) => work(options, &network, &interrupt),
+        Some(HostRole::Reader) => read(options, &network, &interrupt),
     }
 }
 
@@ -61,12 +63,18 @@ fn open(path: &Path) -> Result<DiskSource, Box<dyn Error>> {
     Ok(DiskSource::open_with(path, PageCache::Bypass)?)
 }
 
+/// Where the compiled model is, or is to be.
+pub fn model_path(options: &Options) -> PathBuf {
+    let gears = || options.output.with_file_name(format!("cluster-gears{}.outcrop", options.gears_n));
+    options.model.clone().unwrap_or_else(gears)
+}
+
 /// The compiled model: the one that was given, or gears.
 fn model(options: &Options, interrupt: &Interrupt, meter: &mut Meter) -> Result<PathBuf, Box<dyn Error>> {
-    if let Some(path) = &options.model {
-        return Ok(path.clone());
+    let path = model_path(options);
+    if options.model.is_some() {
+        return Ok(path);
     }
-    let path = options.output.with_file_name(format!("cluster-gears{}.outcrop", options.gears_n));
     let mut progress = |progress: outcrop::compile::Progress| {
         meter.set("compiling", progress.fraction.unwrap_or(0.0));
         if interrupt.is_requested() { Control::Cancel } else { Control::Continue }
@@ -95,7 +103,11 @@ fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
         .with_ambient(gears_view::AMBIENT))
 }
 
-fn coordinate(options: &Options, key: &SharedKey, interrupt: &Interrupt) -> Result<ExitCode, Box<dyn Error>> {
+pub fn coordinate(
+    options: &Options,
+    network: &Network<'_>,
+    interrupt: &Interrupt,
+) -> Result<ExitCode, Box<dyn Error>> {
     let mut meter = Meter::new();
     let path = model(options, interrupt, &mut meter)?;
     let file = open(&path)?;
@@ -104,20 +116,13 @@ fn coordinate(options: &Options, key: &SharedKey, interrupt: &Interrupt) -> Resu
     let scene = scene(options, file.model())?;
     let job = Job::new(scene, settings, model_key(file.model()));
 
-    let listen = options.listen.clone().unwrap_or_else(|| match options.role {
-        Some(_) => "127.0.0.1:7100".to_owned(),
-        None => "127.0.0.1:0".to_owned(),
-    });
-    let hub = TcpTransport::open(
-        key.clone(),
-        TcpOptions { listen: Some(listen), ..TcpOptions::connecting("coordinator") },
-    )?;
+    let hub = network.coordinator(options)?;
     let address = hub.address().ok_or("the coordinator listens nowhere")?;
     let budget = MemoryBudget::new(options.memory);
     let coordinator_options = CoordinatorOptions {
         roles: RoleOptions::default(),
         schedule: SchedulerOptions::new(options.workers * u32::from(options.lanes)),
-        readers: options.readers,
+        readers: options.readers + usize::from(options.ship.is_some()),
     };
     let digest = Coordinator::new(job.clone(), coordinator_options, &budget)?.job_digest();
     let (checkpoint, records) = Checkpoint::open(&options.checkpoint, digest)?;
@@ -132,11 +137,13 @@ fn coordinate(options: &Options, key: &SharedKey, interrupt: &Interrupt) -> Resu
         );
     }
     let mut crew = Crew::default();
-    if options.role.is_none() {
+    if let (None, Network::Tcp(key)) = (options.role, network) {
         crew.start(options, key, &address, &path)?;
     } else {
         println!("listening at {address}");
     }
+
+    let shipping = if options.ship.is_some() { Some(ship(options, network, &path, &address)?) } else { None };
 
     let mut observe = |coordinator: &Coordinator, log: &[String]| {
         for line in log.iter().filter(|line| options.verbose || line.starts_with("refused")) {
@@ -148,8 +155,13 @@ fn coordinate(options: &Options, key: &SharedKey, interrupt: &Interrupt) -> Resu
         if interrupt.is_requested() { Control::Cancel } else { Control::Continue }
     };
     let patience = options.patience;
-    let done = run_coordinator(&hub, coordinator, Some(checkpoint), patience, &mut observe)?;
+    let done = run_coordinator(&*hub, coordinator, Some(checkpoint), patience, &mut observe)?;
     meter.finish();
+    if let Some((stop, shipping)) = shipping {
+        stop.store(true, Ordering::Relaxed);
+        // What it has to say, it has logged.
+        let _ = shipping.join();
+    }
     hub.close();
     crew.wait();
 
@@ -172,6 +184,35 @@ fn coordinate(options: &Options, key: &SharedKey, interrupt: &Interrupt) -> Resu
         verify(&done, &job, file)?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// A reader in the coordinator's process, for workers that have no file and no other reader. Ends with the picture.
+fn ship(
+    options: &Options,
+    network: &Network<'_>,
+    path: &Path,
+    coordinator: &str,
+) -> Result<(Arc<AtomicBool>, JoinHandle<()>), Box<dyn Error>> {
+    const NAME: &str = "coordinator's file";
+    let transport = network.reader(NAME, options.ship.as_deref())?;
+    let address = transport.address().ok_or("the coordinator's file is listened for nowhere")?;
+    let budget = MemoryBudget::new(options.memory);
+    let file = Arc::new(open(path)?);
+    let reader = Reader::new(file, NAME, &address, options.memory, &budget, RoleOptions::default())?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let (flag, coordinator) = (Arc::clone(&stop), coordinator.to_owned());
+    let (patience, verbose) = (options.patience, options.verbose);
+    let thread = thread::spawn(move || {
+        let mut log = |line: &str| {
+            if verbose {
+                eprintln!("{line}");
+            }
+        };
+        if let Err(error) = run_reader(&*transport, reader, &coordinator, patience, &flag, &mut log) {
+            eprintln!("{NAME}: {error}");
+        }
+    });
+    Ok((stop, thread))
 }
 
 fn report(done: &Coordinator) {
@@ -231,18 +272,27 @@ fn connect(options: &Options) -> Result<&str, Box<dyn Error>> {
     Ok(options.connect.as_deref().ok_or("--connect: where is the coordinator?")?)
 }
 
-fn work(options: &Options, key: SharedKey, interrupt: &Interrupt) -> Result<ExitCode, Box<dyn Error>> {
+pub fn work(
+    options: &Options,
+    network: &Network<'_>,
+    interrupt: &Interrupt,
+) -> Result<ExitCode, Box<dyn Error>> {
     let name = options.name.clone().unwrap_or_else(|| format!("worker {}", std::process::id()));
-    let control = TcpTransport::open(key.clone(), TcpOptions::connecting(&name))?;
-    let data: Arc<dyn Transport> = Arc::new(TcpTransport::open(key, TcpOptions::connecting(&name))?);
+    let control = network.worker(&name)?;
+    let data = network.worker(&format!("{name}, blocks"))?;
     let file = match &options.model {
         Some(path) => Some(Arc::new(open(path)?) as Arc<dyn BlockSource>),
+        None => None,
+    };
+    let copy = match &options.keep {
+        Some(path) => Some(CopyOptions::new(path, network.worker(&format!("{name}, copy"))?)),
         None => None,
     };
     let worker = WorkerOptions {
         name,
         lanes: options.lanes,
         file,
+        copy,
         budget: MemoryBudget::new(options.memory),
         octree: OctreeOptions::default(),
         remote: RemoteOptions::default(),
@@ -254,23 +304,39 @@ fn work(options: &Options, key: SharedKey, interrupt: &Interrupt) -> Result<Exit
             eprintln!("{line}");
         }
     };
-    let report = run_worker(&control, &data, connect(options)?, &worker, &follow(interrupt), &mut log)?;
+    let report = run_worker(&*control, &data, connect(options)?, &worker, &follow(interrupt), &mut log)?;
     println!("{} cells; {} blocks loaded", report.worker.cells, report.trace.blocks_loaded);
     if let Some(remote) = report.remote {
         println!(
-            "blocks from their readers {}, from other readers {}, from disk {}; damaged {}; {} messages asked for them",
-            remote.from_owner, remote.from_other, remote.from_fallback, remote.damaged, remote.requests
+            "blocks from their readers {}, from other readers {}, from disk {}, from the copy {}; damaged {}; {} messages asked for them",
+            remote.from_owner,
+            remote.from_other,
+            remote.from_fallback,
+            remote.from_copy,
+            remote.damaged,
+            remote.requests
+        );
+    }
+    if let Some(copy) = report.copy {
+        println!(
+            "a copy of the file, {}: {} blocks kept, {} fetched; damaged {}",
+            if copy.is_complete { "complete" } else { "not complete yet" },
+            copy.blocks_kept,
+            copy.blocks_fetched,
+            copy.damaged
         );
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn read(options: &Options, key: SharedKey, interrupt: &Interrupt) -> Result<ExitCode, Box<dyn Error>> {
+pub fn read(
+    options: &Options,
+    network: &Network<'_>,
+    interrupt: &Interrupt,
+) -> Result<ExitCode, Box<dyn Error>> {
     let name = options.name.clone().unwrap_or_else(|| format!("reader {}", std::process::id()));
     let path = options.model.as_ref().ok_or("a reader needs the compiled model")?;
-    let listen = options.listen.clone().unwrap_or_else(|| "127.0.0.1:0".to_owned());
-    let transport =
-        TcpTransport::open(key, TcpOptions { listen: Some(listen), ..TcpOptions::connecting(&name) })?;
+    let transport = network.reader(&name, options.listen.as_deref())?;
     let own = transport.address().ok_or("the reader listens nowhere")?;
     let address = options.advertise.clone().unwrap_or(own);
     let budget = MemoryBudget::new(options.memory);
@@ -282,7 +348,7 @@ fn read(options: &Options, key: SharedKey, interrupt: &Interrupt) -> Result<Exit
         }
     };
     let stop = follow(interrupt);
-    let counters = run_reader(&transport, reader, connect(options)?, options.patience, &stop, &mut log)?;
+    let counters = run_reader(&*transport, reader, connect(options)?, options.patience, &stop, &mut log)?;
     println!(
         "{} blocks served, {} of them from disk; {:.1} MB",
         counters.blocks_asked,

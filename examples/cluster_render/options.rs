@@ -18,6 +18,8 @@ cluster_render: makes one picture with many processes, on this machine or on man
     cluster_render --role worker [MODEL] --connect HOST:PORT     on others, as many as there are; at any time
     cluster_render --role reader MODEL --connect HOST:PORT --listen HOST:PORT
     cluster_render --hosts FILE [--node N] [MODEL]               role and addresses from a host file
+    mpirun -n 6 cluster_render [MODEL]                           built with --features mpi: rank 0 is the coordinator, then
+                                                                 come --readers, and the others are workers
 
 MODEL is a compiled .outcrop file, the same on all nodes. A worker without it takes its blocks from the readers. Without a MODEL,
 the coordinator makes gears in code. docs/cluster.md tells more.
@@ -32,6 +34,7 @@ network
     --connect HOST:PORT     where the coordinator is
     --hosts FILE            lines `HOST[:PORT] coordinator|worker|reader`
     --node N                this node's line in it, from 0; the variable SLURM_PROCID if not given
+    --ship HOST:PORT        the coordinator serves the file, too, here; for workers without it, where there is no reader
     --name NAME             what this node calls itself in the logs of others
     --patience SECONDS      how long to wait for a coordinator, or for any worker (60)
 picture
@@ -47,9 +50,11 @@ resources
     --readers N             readers that are started, or expected (2; 0 with --role coordinator)
     --lanes N               threads of a worker (1)
     --memory BYTES          budget of each node (128MiB)
+    --keep FILE             a worker without the model makes itself a copy while it renders, and goes on with an unfinished one
     --verbose               tell who comes and goes
 ";
 
+#[derive(Clone)]
 pub struct Options {
     pub model: Option<PathBuf>,
     pub role: Option<HostRole>,
@@ -70,6 +75,12 @@ pub struct Options {
     pub verify: bool,
     pub workers: u32,
     pub readers: usize,
+    /// `--readers`, if it was given.
+    #[cfg_attr(not(feature = "mpi"), expect(dead_code, reason = "only ranks choose by themselves"))]
+    pub readers_asked: Option<usize>,
+    /// Where the coordinator serves the file.
+    pub ship: Option<String>,
+    pub keep: Option<PathBuf>,
     pub lanes: u16,
     pub memory: Bytes,
     pub verbose: bool,
@@ -97,6 +108,9 @@ impl Options {
             verify: false,
             workers: 3,
             readers: 2,
+            readers_asked: None,
+            ship: None,
+            keep: None,
             lanes: 1,
             memory: Bytes::mib(128),
             verbose: false,
@@ -132,6 +146,8 @@ impl Options {
                 "--small" => options.is_small = true,
                 "--workers" => options.workers = arguments.value()?,
                 "--readers" => readers = Some(arguments.value()?),
+                "--ship" => options.ship = Some(arguments.text()?),
+                "--keep" => options.keep = Some(arguments.path()?),
                 "--lanes" => options.lanes = arguments.value()?,
                 "--memory" => options.memory = arguments.value()?,
                 "--verbose" => options.verbose = true,
@@ -144,6 +160,7 @@ impl Options {
         options.size = size.unwrap_or(options.size);
         options.gears_n = gears_n.unwrap_or(options.gears_n);
         let alone = if options.role.is_none() { 2 } else { 0 };
+        options.readers_asked = readers;
         options.readers = readers.unwrap_or(alone);
         if let Some(path) = hosts {
             let text =

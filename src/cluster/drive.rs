@@ -9,18 +9,19 @@ use std::time::{Duration, Instant};
 
 use super::checkpoint::Checkpoint;
 use super::coordinator::{Coordinator, CoordinatorError};
+use super::file_copy::{CopyCounters, CopyOptions, FileCopy};
 use super::message::Job;
 use super::model_file::model_key;
 use super::reader::{Reader, ReaderCounters};
 use super::remote_source::{RemoteCounters, RemoteOptions, RemoteSource};
 use super::worker::{Worker, WorkerAction, WorkerCounters, WorkerEvent};
 use super::{Action, RoleOptions};
-use crate::budget::MemoryBudget;
+use crate::budget::{MemoryBudget, Reservation};
 use crate::compile::Control;
 use crate::error::{RenderError, SourceError, TransportError};
 use crate::octree::{LazyOctree, OctreeOptions};
 use crate::render::{Region, RegionRenderer, Renderer};
-use crate::source::BlockSource;
+use crate::source::{BlockSource, DiskSource};
 use crate::stats::TraceCounters;
 use crate::transport::{PeerId, Transport, TransportEvent};
 use crate::units::Bytes;
@@ -260,6 +261,9 @@ pub struct WorkerOptions {
     pub lanes: u16,
     /// The compiled model, if this node has it. Readers are asked first where there are any.
     pub file: Option<Arc<dyn BlockSource>>,
+    /// If it does not have the model: where it makes itself a copy of the file, from the readers, while it renders. Its blocks come from there
+    /// once the copy is complete. Without room for one it does without.
+    pub copy: Option<CopyOptions>,
     /// All memory of the worker.
     pub budget: MemoryBudget,
     /// How the octree is opened; as many tracers as lanes.
@@ -281,6 +285,8 @@ pub struct WorkerReport {
     pub trace: TraceCounters,
     /// Blocks from readers, if there were any readers.
     pub remote: Option<RemoteCounters>,
+    /// The copy of the file, if one was to be made.
+    pub copy: Option<CopyCounters>,
 }
 
 /// Runs a worker until the picture is done or `stop` is set. `control` leads to the coordinator at `address`; `data` is used for readers and
@@ -306,6 +312,7 @@ pub fn run_worker(
             pump(control, &to_pump, &is_over)
         };
         scope.spawn(pump);
+        let (notes_in, notes) = mpsc::channel();
         let mut engine = Engine {
             worker: Worker::new(&options.name, options.lanes, model, options.roles),
             reconnect: Reconnect::new(control, address, options.patience),
@@ -316,6 +323,9 @@ pub fn run_worker(
             log,
             waiting: VecDeque::new(),
             readers: Vec::new(),
+            copied: None,
+            notes_in,
+            notes,
         };
         let result = engine.work(options, data, &events_in);
         is_over.store(true, Ordering::Relaxed);
@@ -352,6 +362,11 @@ struct Engine<'a> {
     /// Actions that are not for the network.
     waiting: VecDeque<WorkerAction>,
     readers: Vec<String>,
+    /// The copy that this node made of a model.
+    copied: Option<Arc<dyn BlockSource>>,
+    /// What the thread that copies has to log.
+    notes_in: Sender<String>,
+    notes: Receiver<String>,
 }
 
 /// How a job ended.
@@ -370,6 +385,11 @@ impl Engine<'_> {
         let mut report = WorkerReport::default();
         let mut next: Option<Box<Job>> = None;
         let mut waits_since = Instant::now();
+        if let (None, Some(copy)) = (&options.file, &options.copy) {
+            // From an earlier job. If it is no model at all, the attempt to make one says so.
+            let copied = DiskSource::open_with(&copy.path, copy.page_cache).ok();
+            self.copied = copied.map(|copied| Arc::new(copied) as Arc<dyn BlockSource>);
+        }
         while !self.is_over() {
             self.turn()?;
             while let Some(action) = self.waiting.pop_front() {
@@ -384,7 +404,7 @@ impl Engine<'_> {
                 }
             }
             let Some(job) = next.take() else { continue };
-            let source = match self.source(options, data) {
+            let source = match self.source(options, &job, data) {
                 Ok(Some(source)) => source,
                 Ok(None) if waits_since.elapsed() < options.patience => {
                     next = Some(job);
@@ -478,13 +498,17 @@ impl Engine<'_> {
     fn source(
         &self,
         options: &WorkerOptions,
+        job: &Job,
         data: &Arc<dyn Transport>,
     ) -> Result<Option<Source>, SourceError> {
         let has_readers = !self.readers.is_empty();
-        Ok(match &options.file {
+        let copied = self.copied.as_ref().filter(|copied| model_key(copied.model()) == job.model);
+        let copied = copied.filter(|_| options.file.is_none());
+        Ok(match options.file.as_ref().or(copied) {
             Some(file) if has_readers => {
                 let (file, data, readers) = (Arc::clone(file), Arc::clone(data), self.readers.clone());
-                Some(Source::Remote(Arc::new(RemoteSource::beside(file, data, readers, options.remote))))
+                let open = if copied.is_some() { RemoteSource::with_copy } else { RemoteSource::beside };
+                Some(Source::Remote(Arc::new(open(file, data, readers, options.remote))))
             }
             Some(file) => Some(Source::File(Arc::clone(file))),
             None if self.readers.iter().any(|reader| !reader.is_empty()) => {
@@ -511,6 +535,7 @@ impl Engine<'_> {
         }
         let lanes = options.lanes.max(1);
         let budget = &options.budget;
+        let copying = self.copying(options, source);
         // The octree's cache takes what is left of the budget.
         let scratch = Renderer::region_bytes(&job.scene, blocks.model(), &job.settings)?;
         let set_aside =
@@ -542,9 +567,17 @@ impl Engine<'_> {
                     let _ = totals.send(trace);
                 });
             }
+            if let (Some((copy, _)), Source::Remote(remote)) = (&copying, source) {
+                let (abort, notes) = (&abort, self.notes_in.clone());
+                scope.spawn(move || make_copy(copy, remote, abort, &notes));
+            }
             self.handle(WorkerEvent::Opened);
             let end = self.render(source, &to_lanes);
             abort.store(true, Ordering::Relaxed);
+            if let (Some(copy), false) = (&options.copy, matches!(end, Ok(End::Next(_)))) {
+                // Lets a copier go that waits for an answer.
+                copy.transport.close();
+            }
             if let Source::Remote(remote) = source {
                 remote.abandon();
             }
@@ -569,11 +602,44 @@ impl Engine<'_> {
             }
             end
         });
+        if let Some((copy, _)) = copying {
+            report.copy = Some(copy.counters());
+            if self.copied.is_none() {
+                // Errors have been logged.
+                self.copied =
+                    copy.existing().ok().flatten().map(|copied| Arc::new(copied) as Arc<dyn BlockSource>);
+            }
+        }
+        self.log_notes();
         end.map_err(|error| RenderError::Setting { what: "cluster", reason: error.to_string() })
+    }
+
+    /// The copy to make beside the job, with the memory for it.
+    fn copying(&mut self, options: &WorkerOptions, source: &Source) -> Option<(FileCopy, Reservation)> {
+        let (Some(copy), Source::Remote(remote), None) = (&options.copy, source, &options.file) else {
+            return None;
+        };
+        if remote.has_copy() {
+            return None;
+        }
+        match options.budget.reserve(FileCopy::memory_bytes(remote.model()), "a copy of the file") {
+            Ok(memory) => Some((FileCopy::new(Arc::clone(remote.model()), copy.clone()), memory)),
+            Err(error) => {
+                (self.log)(&format!("{error}; going on without a copy"));
+                None
+            }
+        }
+    }
+
+    fn log_notes(&mut self) {
+        while let Ok(note) = self.notes.try_recv() {
+            (self.log)(&note);
+        }
     }
 
     fn render(&mut self, source: &Source, lanes: &[Sender<Region>]) -> Result<End, NodeError> {
         loop {
+            self.log_notes();
             while let Some(action) = self.waiting.pop_front() {
                 match action {
                     WorkerAction::Open(job) => return Ok(End::Next(job)),
@@ -596,6 +662,20 @@ impl Engine<'_> {
             self.turn()?;
         }
     }
+}
+
+/// A thread that makes a copy of the file beside the lanes.
+fn make_copy(copy: &FileCopy, remote: &RemoteSource, stop: &AtomicBool, notes: &Sender<String>) {
+    let note = match copy.run(&|| remote.readers(), stop) {
+        Ok(Some(source)) => {
+            remote.set_copy(Arc::new(source));
+            "the copy of the file is complete; blocks come from there".to_owned()
+        }
+        Ok(None) => return,
+        Err(error) => format!("{error}; going on without a copy"),
+    };
+    // The engine may be gone already.
+    let _ = notes.send(note);
 }
 
 /// Where a worker's blocks come from.

@@ -11,6 +11,7 @@
 mod checkpoint;
 mod coordinator;
 mod drive;
+mod file_copy;
 mod hosts;
 mod message;
 mod model_file;
@@ -28,6 +29,7 @@ pub use coordinator::{
     Coordinator, CoordinatorCounters, CoordinatorError, CoordinatorOptions, LaneInfo, Span, map_colour,
 };
 pub use drive::{NodeError, WorkerOptions, WorkerReport, run_coordinator, run_reader, run_worker};
+pub use file_copy::{CopyCounters, CopyError, CopyOptions, FileCopy};
 pub use hosts::{HostRole, Hosts, HostsError};
 pub use message::{
     BLOCKS_MAX, Job, LeasedCells, MESSAGE_VERSION, Message, MessageError, RANGE_BYTES_MAX, Role,

@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex, MutexGuard};
@@ -58,6 +58,8 @@ pub struct RemoteCounters {
     pub from_other: u64,
     /// Blocks that came from the node's own disk, because no reader gave them.
     pub from_fallback: u64,
+    /// Blocks that came from the node's own copy of the file, once that was complete.
+    pub from_copy: u64,
     /// Stored bytes of blocks that came over the network.
     pub bytes_received: u64,
     /// Frames and blocks that arrived damaged, and were asked for again.
@@ -73,6 +75,7 @@ struct Counters {
     from_owner: AtomicU64,
     from_other: AtomicU64,
     from_fallback: AtomicU64,
+    from_copy: AtomicU64,
     bytes_received: AtomicU64,
     damaged: AtomicU64,
     readers_lost: AtomicU64,
@@ -138,6 +141,8 @@ pub struct RemoteSource {
     transport: Arc<dyn Transport>,
     model: Arc<Model>,
     fallback: Option<Arc<dyn BlockSource>>,
+    /// The node's own copy, asked first once it is there.
+    copy: OnceLock<Arc<dyn BlockSource>>,
     options: RemoteOptions,
     state: Mutex<State>,
     changed: Condvar,
@@ -156,6 +161,19 @@ impl RemoteSource {
     ) -> RemoteSource {
         let model = Arc::clone(fallback.model());
         RemoteSource::new(model, Some(fallback), transport, readers, options)
+    }
+
+    /// A source for a node that made itself a copy of the file: readers are asked only for blocks that are damaged there. `transport`
+    /// must be used for nothing else.
+    pub fn with_copy(
+        copy: Arc<dyn BlockSource>,
+        transport: Arc<dyn Transport>,
+        readers: Vec<String>,
+        options: RemoteOptions,
+    ) -> RemoteSource {
+        let source = RemoteSource::new(Arc::clone(copy.model()), None, transport, readers, options);
+        source.set_copy(copy);
+        source
     }
 
     /// A source for a node that does not have the file: header, directory and materials come from the first reader that
@@ -194,6 +212,7 @@ impl RemoteSource {
             transport,
             model,
             fallback,
+            copy: OnceLock::new(),
             options,
             state: Mutex::new(State { links, ..State::default() }),
             changed: Condvar::new(),
@@ -225,9 +244,28 @@ impl RemoteSource {
         state.links.truncate(readers.len());
     }
 
+    /// Where the readers are now, as [`RemoteSource::set_readers`] told.
+    pub fn readers(&self) -> Vec<String> {
+        self.state.lock().links.iter().map(|link| link.address.clone()).collect()
+    }
+
+    /// From now on blocks come from this copy of the same file, and from readers only if the copy is damaged. Counts once.
+    pub fn set_copy(&self, copy: Arc<dyn BlockSource>) {
+        // A second copy of the same file makes no difference.
+        let _ = self.copy.set(copy);
+    }
+
+    /// Whether [`RemoteSource::set_copy`] was called.
+    pub fn has_copy(&self) -> bool {
+        self.copy.get().is_some()
+    }
+
     /// Asks for blocks that will be read soon, in one message to each reader, without waiting. Only a hint: blocks beyond
     /// [`RemoteOptions::ahead_bytes_max`] are left out. What is never read takes up that room until the source is dropped.
     pub fn will_need(&self, blocks: &[BlockId]) {
+        if self.copy.get().is_some() {
+            return;
+        }
         let mut state = self.state.lock();
         let mut by_peer: HashMap<PeerId, Vec<u32>> = HashMap::new();
         for block in blocks {
@@ -262,11 +300,24 @@ impl RemoteSource {
             from_owner: get(&self.counters.from_owner),
             from_other: get(&self.counters.from_other),
             from_fallback: get(&self.counters.from_fallback),
+            from_copy: get(&self.counters.from_copy),
             bytes_received: get(&self.counters.bytes_received),
             damaged: get(&self.counters.damaged),
             readers_lost: get(&self.counters.readers_lost),
             requests: get(&self.counters.requests),
         }
+    }
+
+    /// Reads a block from the node's own copy; false if there is none, or it is damaged there.
+    fn read_copy(&self, block: BlockId, into: &mut Vec<u8>) -> bool {
+        let Some(copy) = self.copy.get() else { return false };
+        let is_sound = copy.read_block(block, into).is_ok()
+            && self.model.entry(block).is_some_and(|entry| checksum(into) == entry.checksum);
+        count(if is_sound { &self.counters.from_copy } else { &self.counters.damaged }, 1);
+        if !is_sound {
+            into.clear();
+        }
+        is_sound
     }
 
     /// Asks the readers for a block, one after the other; whether one gave it.
@@ -510,7 +561,7 @@ impl BlockSource for RemoteSource {
         }
         let start = Instant::now();
         loop {
-            if self.ask_readers(block, into) {
+            if self.read_copy(block, into) || self.ask_readers(block, into) {
                 return Ok(());
             }
             if let Some(fallback) = &self.fallback {

@@ -1,14 +1,16 @@
-//! Frames between nodes: in one process, over TCP, or simulated. What is in a frame is the caller's affair.
+//! Frames between nodes: in one process, over TCP, over MPI, or simulated. What is in a frame is the caller's affair.
 //!
 //! A node opens one [`Transport`]; others [`connect`](Transport::connect) to its address. Everything that happens to it
 //! comes out of [`receive`](Transport::receive), one event at a time, so that a role can be a plain loop, and the same loop
-//! runs over threads ([`LocalNetwork`]), machines (`TcpTransport`, feature `tcp`) and in simulated time
-//! ([`SimNetwork`]).
+//! runs over threads ([`LocalNetwork`]), machines (`TcpTransport`, feature `tcp`; `MpiTransport`, feature `mpi`)
+//! and in simulated time ([`SimNetwork`]).
 
 #[cfg(feature = "tcp")]
 mod key;
 mod local;
 mod mailbox;
+#[cfg(feature = "mpi")]
+mod mpi;
 mod simulated;
 #[cfg(feature = "tcp")]
 mod tcp;
@@ -20,6 +22,8 @@ use crate::error::TransportError;
 #[cfg(feature = "tcp")]
 pub use key::SharedKey;
 pub use local::{LocalNetwork, LocalTransport};
+#[cfg(feature = "mpi")]
+pub use mpi::{MpiJob, MpiTransport};
 pub use simulated::{LinkModel, SimNetwork, SimTransport};
 #[cfg(feature = "tcp")]
 pub use tcp::{PROTOCOL_VERSION, TcpOptions, TcpTransport};

@@ -2,6 +2,7 @@
 
 #[path = "../support/compiled.rs"]
 mod compiled;
+mod copy;
 mod hostile;
 mod messages;
 #[path = "../support/numbers.rs"]

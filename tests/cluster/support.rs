@@ -73,6 +73,7 @@ pub fn worker_options(name: &str, lanes: u16, file: Option<Arc<dyn BlockSource>>
         name: name.to_owned(),
         lanes,
         file,
+        copy: None,
         budget: MemoryBudget::new(Bytes::mib(64)),
         octree: OctreeOptions { slots_max: Some(24), ..OctreeOptions::default() },
         remote: RemoteOptions { retry_after: Duration::from_millis(300), ..RemoteOptions::default() },

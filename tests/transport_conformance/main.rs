@@ -1,5 +1,8 @@
 //! What every `Transport` has to do, run over all of them.
 
+#[cfg(feature = "mpi")]
+mod mpi;
+
 use std::time::{Duration, Instant};
 
 use outcrop::error::TransportError;
