@@ -172,7 +172,9 @@ pub enum SourceError {
         count: u32,
     },
     /// The source has no such page of attributes, or none at all.
-    #[error("{name} cannot give page {page} of the attributes; render from the compiled file itself, or switch the effects off that need them")]
+    #[error(
+        "{name} cannot give page {page} of the attributes; render from the compiled file itself, or switch the effects off that need them"
+    )]
     NoAttributes {
         /// The page asked for.
         page: u32,
