@@ -118,6 +118,65 @@ fn ply_vertices_have_attributes() {
     }
 }
 
+#[test]
+fn binary_ply_vertices_have_attributes_read_in_bulk_or_one_by_one() {
+    let place = tempfile::tempdir().unwrap();
+    let count = 40_000u32;
+    let value = |vertex: u32, place: u32| ((vertex * 7 + place * 13) % 1000) as f32 * 0.25 - 100.0;
+    let mut found = Vec::new();
+    // All in f32; with a texture coordinate in f64, which is not read in bulk; big-endian.
+    for (name, u_type, is_big) in
+        [("a.ply", "float", false), ("b.ply", "double", false), ("c.ply", "float", true)]
+    {
+        let order = if is_big { "big" } else { "little" };
+        let mut bytes = format!(
+            "ply\nformat binary_{order}_endian 1.0\nelement vertex {count}\nproperty float nx\nproperty float x\nproperty float y\n\
+             property float z\nproperty uchar red\nproperty float ny\nproperty float nz\nproperty {u_type} u\nproperty float v\n\
+             element face {}\nproperty list uchar int vertex_indices\nend_header\n",
+            count / 3
+        )
+        .into_bytes();
+        let put = |bytes: &mut Vec<u8>, mut number: Vec<u8>| {
+            if is_big {
+                number.reverse();
+            }
+            bytes.extend(number);
+        };
+        for vertex in 0..count {
+            for place in 0..8 {
+                let number = value(vertex, place);
+                match (place, u_type) {
+                    (6, "double") => put(&mut bytes, f64::from(number).to_le_bytes().to_vec()),
+                    _ => put(&mut bytes, number.to_le_bytes().to_vec()),
+                }
+                if place == 3 {
+                    bytes.push(9);
+                }
+            }
+        }
+        for face in 0..count / 3 {
+            bytes.push(3);
+            (0..3).for_each(|corner| put(&mut bytes, (3 * face + corner).to_le_bytes().to_vec()));
+        }
+        let input = place.path().join(name);
+        fs::write(&input, bytes).unwrap();
+        let (path, _) = compile(&input, &CompileOptions::default(), &MemoryBudget::new(Bytes::mib(64)));
+        found.push(read(&path, u64::from(count / 3)));
+    }
+    for (face, attributes) in (0..).zip(&found[0]) {
+        let corners = [0, 1, 2].map(|corner| 3 * face + corner);
+        assert_eq!(attributes.uvs, Some(corners.map(|vertex| [value(vertex, 6), value(vertex, 7)])));
+        let normals = corners.map(|vertex| [0, 4, 5].map(|place| f64::from(value(vertex, place))));
+        let unit = normals.map(|normal| {
+            let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
+            normal.map(|x| x / length)
+        });
+        near(attributes.normals, unit);
+    }
+    assert_eq!(found[0], found[1]);
+    assert_eq!(found[0], found[2]);
+}
+
 /// A grid of `side` squares each way with its plane coordinates as texture coordinates, rows in a scrambled order.
 fn grid(side: usize, with: bool) -> String {
     use std::fmt::Write;

@@ -179,7 +179,7 @@ pub fn bumps() -> Result<Entry, Box<dyn Error>> {
     let dents = picture("dents", Encoding::Linear, 256, |x, y| {
         let [u, v] = [x, 255 - y].map(|at| f64::from(at % 64) / 31.5 - 1.0);
         let r = u.hypot(v);
-        let slope = if r < 0.8 { 0.8 } else { 0.0 };
+        let slope = if r < 0.8 { -0.8 } else { 0.0 };
         let normal = [slope * u, slope * v, 1.0];
         let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
         let [x, y, z] = normal.map(|x| 0.5 + 0.5 * x / length);

@@ -19,10 +19,7 @@ pub(super) fn read(
     feed.name_attributes_by_vertex(attributes.uv.is_some(), attributes.normal.is_some());
     note_ignored(element, &attributes, feed);
     let mut left = element.count;
-    // Records with attributes are read value by value.
-    if !attributes.is_any()
-        && let Some(layout) = PositionLayout::of(values.encoding(), element, axes)
-    {
+    if let Some(layout) = PositionLayout::of(values.encoding(), element, axes, &attributes) {
         left -= layout.read(values, left, feed)?;
     }
     let is_text = values.encoding() == Encoding::Ascii;
@@ -106,10 +103,6 @@ impl Attributes {
         }
     }
 
-    fn is_any(&self) -> bool {
-        self.uv.is_some() || self.normal.is_some()
-    }
-
     fn place_of(&self, index: usize) -> Option<Place> {
         let uv = self.uv.and_then(|uv| uv.iter().position(|at| *at == index)).map(Place::Uv);
         uv.or_else(|| self.normal?.iter().position(|at| *at == index).map(Place::Normal))
@@ -137,11 +130,19 @@ struct PositionLayout {
     offset: usize,
     stride: usize,
     scalar: Scalar,
+    /// Where attributes stand, each number as f32.
+    uv: Option<[usize; 2]>,
+    normal: Option<[usize; 3]>,
 }
 
 impl PositionLayout {
-    /// Binary little-endian records in which x, y and z stand together, all as f32 or all as f64.
-    fn of(encoding: Encoding, element: &Element, axes: [(usize, Scalar); 3]) -> Option<PositionLayout> {
+    /// Binary little-endian records in which x, y and z stand together, all as f32 or all as f64; attributes, if any, as f32.
+    fn of(
+        encoding: Encoding,
+        element: &Element,
+        axes: [(usize, Scalar); 3],
+        attributes: &Attributes,
+    ) -> Option<PositionLayout> {
         let [x, y, z] = axes.map(|axis| axis.0);
         let scalar = axes[0].1;
         let stride = element.fixed_bytes()?;
@@ -150,16 +151,28 @@ impl PositionLayout {
             && axes.iter().all(|axis| axis.1 == scalar)
             && y == x + 1
             && z == y + 1;
-        let before = element.properties[..x].iter().map(|property| match property.kind {
-            Kind::Scalar(scalar) => scalar.bytes(),
-            Kind::List { .. } => 0,
-        });
-        fits.then(|| PositionLayout { offset: before.sum(), stride, scalar })
+        let offset = |property: usize| -> usize {
+            let before = element.properties[..property].iter().map(|property| match property.kind {
+                Kind::Scalar(scalar) => scalar.bytes(),
+                Kind::List { .. } => 0,
+            });
+            before.sum()
+        };
+        let is_single = |property: &usize| element.properties[*property].kind == Kind::Scalar(Scalar::F32);
+        let are_single =
+            attributes.uv.iter().flatten().chain(attributes.normal.iter().flatten()).all(is_single);
+        (fits && are_single).then(|| PositionLayout {
+            offset: offset(x),
+            stride,
+            scalar,
+            uv: attributes.uv.map(|uv| uv.map(offset)),
+            normal: attributes.normal.map(|normal| normal.map(offset)),
+        })
     }
 
     /// Reads whole records in bulk as long as the stream gives them; returns how many.
     fn read(self, values: &mut Values<'_, '_>, count: u64, feed: &mut Feed<'_>) -> Result<u64, ImportError> {
-        let PositionLayout { offset, stride, scalar } = self;
+        let PositionLayout { offset, stride, scalar, uv, normal } = self;
         let mut done = 0;
         while done < count {
             if values.window.data().len() < stride {
@@ -186,11 +199,27 @@ impl PositionLayout {
                     batch.extend(records.chunks_exact(stride).map(|record| position32(&record[offset..])));
                 }
             }
+            if uv.is_some() || normal.is_some() {
+                for record in data[..take * stride].chunks_exact(stride) {
+                    if let Some(places) = uv {
+                        feed.uv(places.map(|at| single(record, at)))?;
+                    }
+                    if let Some(places) = normal {
+                        feed.normal(places.map(|at| single(record, at)))?;
+                    }
+                }
+            }
             values.window.consume(take * stride);
             done += take as u64;
         }
         Ok(done)
     }
+}
+
+/// The little-endian f32 at `at` of a record.
+#[inline]
+fn single(record: &[u8], at: usize) -> f32 {
+    f32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]])
 }
 
 /// Three little-endian f32.
