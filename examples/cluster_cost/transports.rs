@@ -189,9 +189,12 @@ impl Asker<'_> {
     }
 }
 
+/// Stored bytes of a block on average, by size.
+type Means = Vec<Option<f64>>;
+
 /// Blocks of the sizes that blocks can have, raw, from a file of this folder past the page cache.
 /// Also gives the mean of their stored bytes: the size is that of a block when it is decoded.
-fn disk(seconds: f64) -> Result<(Row, Vec<Option<f64>>), Box<dyn Error>> {
+fn disk(seconds: f64) -> Result<(Row, Means), Box<dyn Error>> {
     let folder = tempfile::tempdir_in(".")?;
     let budget = MemoryBudget::new(Bytes::mib(512));
     let gears = Gears::new(3)?;
