@@ -1,7 +1,7 @@
 //! Latency and bandwidth of each transport by message size, beside the disk's.
 //!
 //! One node asks, as a worker asks a reader for a block, and the other answers with so many bytes. *Latency* is the median time from the question to
-//! the whole answer, one at a time; *bandwidth* is that of answers with eight questions on their way. Every answer is compared with what it has
+//! the whole answer, one at a time; *bandwidth* is that of answers with eight questions on their way (two for a megabyte). Every answer is compared with what it has
 //! to be.
 
 use std::error::Error;
@@ -22,8 +22,11 @@ use outcrop::{BlockSource, MemoryBudget};
 use crate::Options;
 
 const SIZES: [usize; 7] = [64, 1 << 10, 4 << 10, 16 << 10, 64 << 10, 256 << 10, 1 << 20];
-/// Questions on their way at one time, when bandwidth is measured.
+/// Questions on their way at one time, when bandwidth is measured: as many as there is certainly room for the answers, at most eight.
 const DEPTH: usize = 8;
+fn depth(size: usize) -> usize {
+    ((2 << 20) / size).clamp(1, DEPTH)
+}
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// One row of the table: seconds and bytes per second by size; `None` where there is no such size.
@@ -138,7 +141,7 @@ fn ask_all(name: &str, asker: &dyn Transport, peer: PeerId, seconds: f64) -> Res
         times.sort_by(f64::total_cmp);
         let latency = times[times.len() / 2];
         let (mut count, start) = (0, Instant::now());
-        for _ in 0..DEPTH {
+        for _ in 0..depth(size) {
             asker.ask(size)?;
         }
         while start.elapsed().as_secs_f64() < seconds || count < 5 {
@@ -147,7 +150,7 @@ fn ask_all(name: &str, asker: &dyn Transport, peer: PeerId, seconds: f64) -> Res
             count += 1;
         }
         let rate = (count * size) as f64 / start.elapsed().as_secs_f64();
-        for _ in 0..DEPTH {
+        for _ in 0..depth(size) {
             asker.take(size)?;
         }
         cells.push(Some((latency, rate)));
@@ -186,9 +189,12 @@ impl Asker<'_> {
     }
 }
 
+/// Stored bytes of a block on average, by size.
+type Means = Vec<Option<f64>>;
+
 /// Blocks of the sizes that blocks can have, raw, from a file of this folder past the page cache.
 /// Also gives the mean of their stored bytes: the size is that of a block when it is decoded.
-fn disk(seconds: f64) -> Result<(Row, Vec<Option<f64>>), Box<dyn Error>> {
+fn disk(seconds: f64) -> Result<(Row, Means), Box<dyn Error>> {
     let folder = tempfile::tempdir_in(".")?;
     let budget = MemoryBudget::new(Bytes::mib(512));
     let gears = Gears::new(3)?;

@@ -311,12 +311,10 @@ impl Remote {
         if let Some(body) = body {
             self.control.send(self.peer, body).unwrap();
         }
-        let next = || loop {
-            // Other ranks' lines are quiet meanwhile.
-            match self.control.receive(2 * LONG).unwrap().expect("an answer should have come") {
-                TransportEvent::Frame { peer, bytes } if peer == self.peer => return bytes,
-                other => panic!("{other:?}"),
-            }
+        // Other ranks' lines are quiet meanwhile.
+        let next = || match self.control.receive(2 * LONG).unwrap().expect("an answer should have come") {
+            TransportEvent::Frame { peer, bytes } if peer == self.peer => bytes,
+            other => panic!("{other:?}"),
         };
         let answer = postcard::from_bytes(&next()).unwrap();
         let body = matches!(answer, Answer::Frame(_)).then(next);

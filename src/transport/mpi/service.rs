@@ -2,7 +2,7 @@
 //!
 //! MPI has no way to sleep until a message comes, and its blocking calls burn a core. So this thread asks and sleeps in turn, for an
 //! eighth of the time since something happened last, and only after 60 µs: an answer that takes a millisecond is found within about 1.2, and a quiet
-//! node asks 500 times a second.
+//! node asks 250 times a second.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::mpsc::Sender;
@@ -19,7 +19,7 @@ use super::flight::{Flight, TAG};
 use super::letter::{LETTER_BYTES_MAX, Letter};
 
 /// Shortest and longest sleep.
-const SLEEP: [Duration; 2] = [Duration::from_micros(20), Duration::from_millis(2)];
+const SLEEP: [Duration; 2] = [Duration::from_micros(20), Duration::from_millis(4)];
 /// So long it asks again at once after something happened, and only lets others run in between: a sleep would take as long.
 const EAGER: Duration = Duration::from_micros(60);
 /// How long a node that ends waits for its peers to take what it has sent.
