@@ -98,7 +98,6 @@ pub(super) fn read(
         }
         feed.report.degenerate_faces += u64::from(faces.is_cut_short());
     }
-    feed.report.material_files.clear();
     feed.finish(progress)
 }
 
