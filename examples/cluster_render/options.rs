@@ -76,7 +76,6 @@ pub struct Options {
     pub workers: u32,
     pub readers: usize,
     /// `--readers`, if it was given.
-    #[cfg_attr(not(feature = "mpi"), expect(dead_code, reason = "only ranks choose by themselves"))]
     pub readers_asked: Option<usize>,
     /// Where the coordinator serves the file.
     pub ship: Option<String>,
