@@ -5,7 +5,12 @@ use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use gltf::{Document, Gltf};
+use gltf::Document;
+use gltf::json::Root;
+use gltf::json::camera::Type as CameraType;
+use gltf::json::extensions::scene::khr_lights_punctual::Type as LightType;
+use gltf::json::mesh::Semantic;
+use gltf::json::validation::Checked;
 
 use crate::error::ImportError;
 
@@ -152,20 +157,57 @@ fn binary_chunk(path: &Path, file: &mut File, range: Range<u64>) -> Result<Optio
 
 /// Reads the JSON text and has its indices checked.
 fn parse(path: &Path, offset: u64, json: &[u8]) -> Result<Document, ImportError> {
-    let element =
+    let refused =
         |element: String, reason: String| ImportError::Element { path: path.to_path_buf(), element, reason };
-    match Gltf::from_slice(json) {
-        Ok(gltf) => Ok(gltf.document),
-        Err(gltf::Error::Deserialize(error)) => {
-            Err(byte_error(path, offset, format!("the JSON text: {error}")))
-        }
-        Err(gltf::Error::Validation(errors)) => {
-            let (place, reason) = errors.into_iter().next().map_or_else(
-                || ("the document".to_string(), "it is not valid".to_string()),
-                |(place, error)| (place.to_string(), error.to_string()),
-            );
-            Err(element(place, reason))
-        }
-        Err(error) => Err(element("the document".into(), error.to_string())),
+    let root: Root = gltf::json::deserialize::from_slice(json)
+        .map_err(|error| byte_error(path, offset, format!("the JSON text: {error}")))?;
+    if let Some((element, reason)) = missing(&root) {
+        return Err(refused(element, reason.into()));
     }
+    Document::from_json(root).map_err(|error| match error {
+        gltf::Error::Validation(errors) => match errors.into_iter().next() {
+            Some((place, error)) => refused(place.to_string(), error.to_string()),
+            None => refused("the document".into(), "it is not valid".into()),
+        },
+        error => refused("the document".into(), error.to_string()),
+    })
+}
+
+/// What a document lacks that the crate takes for granted, in its own checks (a primitive's positions) or after them.
+fn missing(root: &Root) -> Option<(String, &'static str)> {
+    for (mesh, part) in root.meshes.iter().enumerate() {
+        for (primitive, part) in part.primitives.iter().enumerate() {
+            let positions = part.attributes.get(&Checked::Valid(Semantic::Positions));
+            if positions.is_some_and(|index| index.value() >= root.accessors.len()) {
+                let element = format!("meshes[{mesh}].primitives[{primitive}].attributes.POSITION");
+                return Some((element, "there is no such accessor"));
+            }
+        }
+    }
+    for (image, part) in root.images.iter().enumerate() {
+        if part.uri.is_none() && (part.buffer_view.is_none() || part.mime_type.is_none()) {
+            return Some((format!("images[{image}]"), "it has neither a uri nor a buffer view with a type"));
+        }
+    }
+    for (camera, part) in root.cameras.iter().enumerate() {
+        let is_there = match part.type_ {
+            Checked::Valid(CameraType::Perspective) => part.perspective.is_some(),
+            Checked::Valid(CameraType::Orthographic) => part.orthographic.is_some(),
+            // Refused by the crate.
+            Checked::Invalid => true,
+        };
+        if !is_there {
+            return Some((format!("cameras[{camera}]"), "the part that its type names is not there"));
+        }
+    }
+    let lights = root.extensions.as_ref().and_then(|extensions| extensions.khr_lights_punctual.as_ref());
+    for (light, part) in lights.iter().flat_map(|lights| &lights.lights).enumerate() {
+        if part.type_ == Checked::Valid(LightType::Spot) && part.spot.is_none() {
+            return Some((
+                format!("extensions.KHR_lights_punctual.lights[{light}]"),
+                "a spot light has no cone",
+            ));
+        }
+    }
+    None
 }

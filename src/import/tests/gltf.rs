@@ -117,6 +117,32 @@ impl Sample {
     }
 }
 
+/// The square with a bit of everything that is looked at.
+fn rich() -> Sample {
+    let mut sample = square();
+    let document = &mut sample.document;
+    document["nodes"] = json!([
+        { "mesh": 0, "camera": 0, "children": [1], "scale": [2, 1, 1] },
+        { "camera": 1, "extensions": { "KHR_lights_punctual": { "light": 0 } }, "translation": [0, 0, 1] }
+    ]);
+    document["meshes"][0]["primitives"][0]["material"] = json!(0);
+    document["materials"] = json!([{
+        "alphaMode": "MASK", "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "roughnessFactor": 0.5 }
+    }]);
+    document["textures"] = json!([{ "source": 0, "sampler": 0 }]);
+    document["samplers"] = json!([{ "wrapS": 33071, "wrapT": 10497 }]);
+    document["images"] = json!([{ "uri": "x.png" }]);
+    document["cameras"] = json!([
+        { "type": "perspective", "perspective": { "yfov": 0.5, "znear": 0.1 } },
+        { "type": "orthographic", "orthographic": { "xmag": 1, "ymag": 3, "zfar": 10, "znear": 0.1 } }
+    ]);
+    document["extensionsUsed"] = json!(["KHR_lights_punctual"]);
+    document["extensions"] = json!({ "KHR_lights_punctual": { "lights": [
+        { "type": "spot", "spot": { "innerConeAngle": 0.25, "outerConeAngle": 0.5 } }
+    ] } });
+    sample
+}
+
 /// Where an error is, and why.
 fn refused(outcome: Outcome) -> (String, String) {
     match outcome {
@@ -339,6 +365,22 @@ fn what_is_not_supported_says_where() {
         "values": { "bufferView": 0 }
     });
     assert!(refused(sparse.import()).1.contains("sparse"));
+    for (place, value, element) in [
+        (
+            "/meshes/0/primitives/0/attributes/POSITION",
+            json!(7),
+            "meshes[0].primitives[0].attributes.POSITION",
+        ),
+        ("/images/0", json!({}), "images[0]"),
+        ("/cameras/0/type", json!("orthographic"), "cameras[0]"),
+        (
+            "/extensions/KHR_lights_punctual/lights/0",
+            json!({ "type": "spot" }),
+            "extensions.KHR_lights_punctual.lights[0]",
+        ),
+    ] {
+        assert_eq!(refused(rich().with(place, value).import()).0, element);
+    }
     for uri in ["https://example.org/x.bin", "/etc/hostname", "data:;base64,%%%"] {
         let mut elsewhere = sample.clone();
         elsewhere.document["buffers"][0]["uri"] = json!(uri);
@@ -357,22 +399,35 @@ fn what_is_not_supported_says_where() {
 #[test]
 fn damaged_files_do_no_harm() {
     let folder = Folder::new();
-    let samples = [("x.glb", square().binary()), ("x.gltf", square().text().into_bytes())];
+    let rich = rich();
+    let samples = [("x.glb", rich.binary()), ("x.gltf", rich.text().into_bytes())];
     let mut random = Random::new(1);
     for (name, whole) in samples {
         for length in 0..whole.len() {
             assert!(folder.import(name, &whole[..length]).is_err(), "{name} cut to {length}");
         }
-        let mut survived = 0;
-        for _ in 0..3000 {
+        let digits: Vec<usize> = (0..whole.len()).filter(|at| whole[*at].is_ascii_digit()).collect();
+        let mut survived = [0; 2];
+        for run in 0..6000 {
             let mut damaged = whole.clone();
             for _ in 0..1 + random.below(3) {
-                let at = random.below(damaged.len());
-                damaged[at] ^= 1 << random.below(8);
+                // Any bit; or another number, which leaves a document that can be read.
+                if run % 2 == 0 {
+                    let at = random.below(damaged.len());
+                    damaged[at] ^= 1 << random.below(8);
+                } else {
+                    damaged[digits[random.below(digits.len())]] = b'0' + random.below(10) as u8;
+                }
             }
-            survived += u32::from(folder.import(name, damaged).is_ok());
+            let path = folder.write(name, damaged);
+            let mut mesh = MeshBuffer { keep_attributes: run % 3 == 0, ..MeshBuffer::new() };
+            if let Ok(report) = import_file(&path, &ImportOptions::default(), &mut mesh) {
+                super::check(&mesh, &report);
+                survived[0] += 1;
+            }
+            survived[1] += u32::from(crate::scene::GltfView::read(&path).is_ok());
         }
-        assert!((1..3000).contains(&survived), "{survived}");
+        assert!(survived.iter().all(|survived| (1..6000).contains(survived)), "{survived:?}");
     }
 }
 
