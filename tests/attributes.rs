@@ -238,7 +238,7 @@ fn many_triangles_in_a_small_budget_on_any_threads() {
         let (row, x) = (id as usize / 2 / side, id as usize / 2 % side);
         let y = row * 37 % side;
         let corner = |dx: usize, dy: usize| [(x + dx) as f32 + 0.5, (y + dy) as f32];
-        if id % 2 == 0 {
+        if id.is_multiple_of(2) {
             [corner(0, 0), corner(1, 0), corner(1, 1)]
         } else {
             [corner(0, 0), corner(1, 1), corner(0, 1)]
@@ -294,7 +294,7 @@ fn damaged_and_shortened_files_are_refused() {
     }
     assert!(MemorySource::new([&file[..], &[0]].concat()).is_err());
     let model = Arc::clone(MemorySource::new(file.clone()).unwrap().model());
-    let pages = &model.attributes.entries()[..];
+    let pages = &model.attributes.entries();
     let pages_end = pages.last().map(|page| page.offset + u64::from(page.stored_bytes)).unwrap() as usize;
     let pages_start = pages[0].offset as usize;
     // A flipped bit anywhere: an error when the file is opened, or when the page is read.

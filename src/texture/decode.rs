@@ -1,7 +1,6 @@
 //! Image files to rows of RGBA bytes. The files are untrusted (I5): sizes are checked and reserved before anything is allocated by them.
 
 use std::fs::File;
-use std::io::BufReader;
 use std::path::Path;
 
 use super::layout::SIDE_MAX;
@@ -47,7 +46,7 @@ fn check_size(path: &Path, width: u32, height: u32) -> Result<(), TextureError> 
 fn png(path: &Path, file: File, budget: &MemoryBudget, rows: &mut dyn Rows) -> Result<(), TextureError> {
     use crate::units::Bytes;
     let failed = |error: png::DecodingError| refused(path, format!("cannot be decoded: {error}"));
-    let mut decoder = png::Decoder::new(BufReader::new(file));
+    let mut decoder = png::Decoder::new(std::io::BufReader::new(file));
     // Palettes, fewer and more than eight bits: all to eight bits for each channel.
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(failed)?;
@@ -106,7 +105,7 @@ fn jpeg(path: &Path, file: File, budget: &MemoryBudget, rows: &mut dyn Rows) -> 
         .set_max_width(side)
         .set_max_height(side)
         .jpeg_set_out_colorspace(ColorSpace::RGB);
-    let mut decoder = JpegDecoder::new_with_options(BufReader::new(file), options);
+    let mut decoder = JpegDecoder::new_with_options(std::io::BufReader::new(file), options);
     decoder.decode_headers().map_err(failed)?;
     let (width, height) = decoder.dimensions().ok_or_else(|| refused(path, "says no size"))?;
     let (width, height) = (width as u32, height as u32);

@@ -9,10 +9,13 @@
 //! Colours are decoded from sRGB to linear before anything is averaged; other pictures (alpha, heights, normals) are taken as they are.
 
 mod cache;
+#[cfg_attr(not(any(feature = "png", feature = "jpeg")), allow(dead_code, reason = "no decoder calls it"))]
 mod convert;
+#[cfg_attr(not(any(feature = "png", feature = "jpeg")), allow(dead_code, reason = "no decoder calls it"))]
 mod decode;
 mod file;
 mod layout;
+#[cfg_attr(not(any(feature = "png", feature = "jpeg")), allow(dead_code, reason = "no decoder calls it"))]
 mod pyramid;
 mod srgb;
 #[cfg(test)]
