@@ -236,8 +236,8 @@ impl Faces {
     /// Whether corners are left that make no triangle.
     fn is_cut_short(&self) -> bool {
         match self.mode {
-            Mode::TriangleStrip | Mode::TriangleFan => self.count % 3 != 0 && self.count < 3,
-            _ => self.count % 3 != 0,
+            Mode::TriangleStrip | Mode::TriangleFan => matches!(self.count, 1 | 2),
+            _ => !self.count.is_multiple_of(3),
         }
     }
 }
