@@ -159,8 +159,9 @@ fn binary_chunk(path: &Path, file: &mut File, range: Range<u64>) -> Result<Optio
 fn parse(path: &Path, offset: u64, json: &[u8]) -> Result<Document, ImportError> {
     let refused =
         |element: String, reason: String| ImportError::Element { path: path.to_path_buf(), element, reason };
-    let root: Root = gltf::json::deserialize::from_slice(json)
-        .map_err(|error| byte_error(path, offset, format!("the JSON text: {error}")))?;
+    let root: Root = gltf::json::deserialize::from_slice(json).map_err(|error| {
+        byte_error(path, offset, format!("the JSON text is no document of glTF 2.0: {error}"))
+    })?;
     if let Some((element, reason)) = missing(&root) {
         return Err(refused(element, reason.into()));
     }
