@@ -61,18 +61,16 @@ impl Elements {
         Elements::new(opened, &accessor, name()).map(Some)
     }
 
-    /// The indices of a primitive that has some.
-    pub fn indices(opened: &Opened, placed: &Placed<'_>) -> Result<Elements, ImportError> {
+    /// The indices of a primitive, if it has some.
+    pub fn indices(opened: &Opened, placed: &Placed<'_>) -> Result<Option<Elements>, ImportError> {
         let name = || format!("{}.indices", placed.name());
-        let Some(accessor) = placed.primitive.indices() else {
-            return Err(opened.error(name(), "there are none"));
-        };
+        let Some(accessor) = placed.primitive.indices() else { return Ok(None) };
         if accessor.dimensions() != Dimensions::Scalar
             || !matches!(accessor.data_type(), DataType::U8 | DataType::U16 | DataType::U32)
         {
             return Err(opened.error(name(), "indices must be single unsigned integers"));
         }
-        Elements::new(opened, &accessor, name())
+        Elements::new(opened, &accessor, name()).map(Some)
     }
 
     fn new(opened: &Opened, accessor: &Accessor<'_>, name: String) -> Result<Elements, ImportError> {

@@ -75,14 +75,13 @@ pub(super) fn read(
         feed.set_material(material)?;
         // More vertices are refused by the feed.
         let mut faces = Faces::new(placed, first as u32, attributes);
-        match placed.primitive.indices() {
+        match Elements::indices(&opened, placed)? {
             None => {
                 for index in 0..placed.vertex_count {
                     faces.corner(index as u32, &mut feed)?;
                 }
             }
-            Some(_) => {
-                let mut elements = Elements::indices(&opened, placed)?;
+            Some(mut elements) => {
                 while let Some(read) = elements.next_indices(&mut bytes, &mut indices)? {
                     progress.0 += read;
                     for index in &indices {

@@ -44,10 +44,8 @@ impl Placed<'_> {
         }
         self.matrix.transform_point3(DVec3::from_array(position.map(f64::from))).to_array()
     }
-}
 
-impl Placed<'_> {
-    /// A normal of the primitive, turned as its surface is; not of unit length.
+    /// A normal of the primitive, turned as its surface is; of unit length, or zero if it has none.
     pub fn normal(&self, normal: [f32; 3]) -> [f32; 3] {
         let linear = DMat3::from_mat4(self.matrix);
         // Of the matrix of cofactors, which turns normals as the matrix turns surfaces, also where it has no inverse.

@@ -92,11 +92,10 @@ pub(super) fn face<const WANTED: bool>(
             note(references, place, reference);
         }
     }
-    let end = line_end(data, at);
+    let mut end = line_end(data, at);
     if end.is_none() {
         corners.extend_from_slice(&three);
     }
-    let mut end = end;
     let next = loop {
         if let Some(next) = end {
             break next;

@@ -83,12 +83,12 @@ impl Parser<'_> {
             b"mtllib" => self.materials.load_named(rest, Some(self.line), &mut self.feed)?,
             b"vt" if wants_attributes => {
                 // One number is enough: the other is 0 then.
-                let ([u, v, _], _) = self.numbers(rest, "vt", 1)?;
+                let [u, v, _] = self.numbers(rest, "vt", 1)?;
                 self.uv([u, v])?;
                 return Ok(());
             }
             b"vn" if wants_attributes => {
-                let (normal, _) = self.numbers(rest, "vn", 3)?;
+                let normal = self.numbers(rest, "vn", 3)?;
                 self.normal(normal)?;
                 return Ok(());
             }
@@ -129,7 +129,7 @@ impl Parser<'_> {
     }
 
     /// The numbers of a `vt` or `vn`, at least `least`; what is beyond the third is checked and dropped.
-    fn numbers(&self, rest: &[u8], keyword: &str, least: usize) -> Result<([f32; 3], usize), ImportError> {
+    fn numbers(&self, rest: &[u8], keyword: &str, least: usize) -> Result<[f32; 3], ImportError> {
         let mut numbers = [0.0; 3];
         let mut count = 0;
         for word in arguments(rest) {
@@ -141,7 +141,7 @@ impl Parser<'_> {
             count += 1;
         }
         if count >= least {
-            return Ok((numbers, count));
+            return Ok(numbers);
         }
         let reason = format!("`{keyword}` with {count} numbers; {least} are needed");
         Err(self.error(self.line, reason))

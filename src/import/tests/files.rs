@@ -1,8 +1,9 @@
 //! Files by name: kinds, libraries, compression, second passes, and the record of a source.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use super::Folder;
 use crate::error::ImportError;
 use crate::import::{ImportOptions, ImportReport, MeshBuffer, import_file, source_record};
 
@@ -17,20 +18,6 @@ fn import_with(path: &Path, options: &ImportOptions) -> Result<(MeshBuffer, Impo
     let report = import_file(path, options, &mut mesh)?;
     super::check(&mesh, &report);
     Ok((mesh, report))
-}
-
-struct Folder(tempfile::TempDir);
-
-impl Folder {
-    fn new() -> Folder {
-        Folder(tempfile::tempdir().unwrap())
-    }
-
-    fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.0.path().join(name);
-        fs::write(&path, bytes).unwrap();
-        path
-    }
 }
 
 #[test]

@@ -1,31 +1,17 @@
 //! glTF: both containers, every way to name triangles, transforms, materials, and what is refused.
 
-use std::fs;
-use std::path::PathBuf;
-
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 
+use super::Folder;
 use crate::error::ImportError;
 use crate::import::{ImportOptions, ImportReport, MeshBuffer, import_file};
 use crate::procedural::random::Random;
 
 type Outcome = Result<(MeshBuffer, ImportReport), ImportError>;
 
-struct Folder(tempfile::TempDir);
-
 impl Folder {
-    fn new() -> Folder {
-        Folder(tempfile::tempdir().unwrap())
-    }
-
-    fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.0.path().join(name);
-        fs::write(&path, bytes).unwrap();
-        path
-    }
-
     fn import(&self, name: &str, bytes: impl AsRef<[u8]>) -> Outcome {
         let mut mesh = MeshBuffer::new();
         let report = import_file(&self.write(name, bytes), &ImportOptions::default(), &mut mesh)?;

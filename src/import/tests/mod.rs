@@ -14,12 +14,28 @@ mod polygon;
 mod stl;
 mod triangles;
 
+use std::fs;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use super::{ImportOptions, ImportReport, MeshBuffer, read_obj, read_ply, read_stl};
 use crate::error::ImportError;
+
+/// Where a test keeps its files.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Folder {
+        Folder(tempfile::tempdir().unwrap())
+    }
+
+    fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.0.path().join(name);
+        fs::write(&path, bytes).unwrap();
+        path
+    }
+}
 
 type Outcome = Result<(MeshBuffer, ImportReport), ImportError>;
 

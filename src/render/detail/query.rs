@@ -141,9 +141,9 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
         ignore: Option<&MaterialSet>,
         out: &mut [Occlusion],
     ) -> Result<(), TraceError> {
-        let open: Vec<usize> = (0..rays.len()).filter(|index| out[*index] == Occlusion::Filtered).collect();
+        let mut open: Vec<usize> =
+            (0..rays.len()).filter(|index| out[*index] == Occlusion::Filtered).collect();
         let mut open_rays: Vec<Ray> = open.iter().map(|index| rays[*index]).collect();
-        let mut open = open;
         for index in &open {
             out[*index] = Occlusion::Clear;
         }

@@ -1,6 +1,8 @@
 //! What lies behind each pixel.
 
-use exr::prelude::{FlatSamples, ReadChannels as _, ReadLayers as _};
+use std::path::Path;
+
+use exr::prelude::{AnyChannel, FlatSamples, ReadChannels as _, ReadLayers as _};
 
 use super::invariance::{settings, still_life};
 use super::*;
@@ -33,6 +35,24 @@ fn a_layer_says_what_the_middle_of_the_pixel_meets() {
     assert!(nothing.pixels().iter().all(Option::is_none));
 }
 
+/// The channels of a file that was written.
+fn read_back(path: &Path) -> Vec<AnyChannel<FlatSamples>> {
+    exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_file(path)
+        .unwrap()
+        .layer_data
+        .channel_data
+        .list
+        .into_iter()
+        .collect()
+}
+
 #[test]
 fn layers_are_written_and_read_back() {
     let (mesh, scene) = still_life();
@@ -41,16 +61,7 @@ fn layers_are_written_and_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("layers.exr");
     found.write(&picture.film, &path).unwrap();
-    let image = exr::prelude::read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .first_valid_layer()
-        .all_attributes()
-        .non_parallel()
-        .from_file(&path)
-        .unwrap();
-    let channels = &image.layer_data.channel_data.list;
+    let channels = read_back(&path);
     assert_eq!(channels.len(), 13);
     let samples = |name: &str| {
         &channels.iter().find(|channel| channel.name.eq(name)).unwrap_or_else(|| panic!("{name}")).sample_data
@@ -87,16 +98,7 @@ fn a_film_with_statistics_adds_its_samples() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("layers.exr");
     found.write(&picture.film, &path).unwrap();
-    let image = exr::prelude::read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .first_valid_layer()
-        .all_attributes()
-        .non_parallel()
-        .from_file(&path)
-        .unwrap();
-    let channels = &image.layer_data.channel_data.list;
+    let channels = read_back(&path);
     assert_eq!(channels.len(), 15);
     let samples = channels.iter().find(|channel| channel.name.eq("samples")).unwrap();
     let FlatSamples::U32(samples) = &samples.sample_data else { panic!("not whole") };
