@@ -226,10 +226,10 @@ impl<'a> Fine<'a> {
         f32::from_bits(self.words[leaf.place() * (PLACE_BYTES / 4)])
     }
 
-    /// What packets of a leaf are made from.
+    /// What packets of a leaf are made from. `expanded`: how its slot is laid out, if the caller knows at compile time.
     #[inline(always)]
-    pub fn leaf<const EXPANDED: bool>(&self, leaf: Child) -> Leaf<'a> {
-        if EXPANDED {
+    pub fn leaf(&self, expanded: Option<bool>, leaf: Child) -> Leaf<'a> {
+        if expanded.unwrap_or(self.header.expanded == 1) {
             let start = leaf.place() * (PLACE_BYTES / 4) + LEAF_ROWS / 4;
             Leaf::Rows(PacketRows::new(bytemuck::cast_slice(&self.words[start..]), leaf.triangle_count()))
         } else {

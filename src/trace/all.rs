@@ -33,7 +33,7 @@ pub(super) trait Receiver {
 
 /// Gives all hits of `ray` to the receiver, in the order of (t, triangle id).
 #[inline(always)]
-pub(super) fn all_hits<S: Simd, P: Policy, const EXPANDED: bool>(
+pub(super) fn all_hits<S: Simd, P: Policy>(
     simd: S,
     work: &mut Work<'_, '_>,
     Prepared { group, lane, query, local }: Prepared<'_>,
@@ -48,7 +48,7 @@ pub(super) fn all_hits<S: Simd, P: Policy, const EXPANDED: bool>(
         let mut kept = Streamed { waiting: &mut *waiting, receiver: &mut *receiver, is_over: false };
         let prepared = Prepared { group, lane, query: &mut *query, local: &mut *local };
         // The pins of a tracer load: it does not stop on the way.
-        closest_hit::<S, P, _, EXPANDED>(simd, work, prepared, ray, after, None, &mut kept)?;
+        closest_hit::<S, P, _>(simd, work, prepared, ray, after, None, &mut kept)?;
         kept.finish();
         if kept.is_over {
             return Ok(());

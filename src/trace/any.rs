@@ -71,7 +71,7 @@ impl Unvisited {
 /// Whether the ray is blocked; `None` if the pins are not to load and blocks were missing, which are then in
 /// `unvisited`. To go on, call it again with that and `is_resumed`.
 #[inline(always)]
-pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
+pub(super) fn occlusion<S: Simd, P: Policy>(
     simd: S,
     work: &mut Work<'_, '_>,
     Prepared { group, lane, query, local }: Prepared<'_>,
@@ -93,7 +93,7 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
         (outer, splat_interval(simd, low, high))
     };
     let mut any: Any<'_, S, P> = Any {
-        prepared: P::prepare(simd, &local.test.triangles),
+        prepared: P::prepare(simd, work.octree.tier, &local.test.triangles),
         local,
         outer,
         inner,
@@ -137,7 +137,7 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
                 match work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)? {
                     Some(slot) => {
                         work.counters.block_visits += 1;
-                        let visit = VisitBlock::<S, P, EXPANDED> {
+                        let visit = VisitBlock::<S, P> {
                             any: &mut any,
                             slot,
                             hits,
@@ -201,7 +201,7 @@ pub(super) fn occlusion<S: Simd, P: Policy, const EXPANDED: bool>(
 
 /// The traversal of one block; gives whether a triangle of it blocks the ray. A function of its own, so that the registers
 /// are its own.
-struct VisitBlock<'v, 'r, S: Simd, P: Policy, const EXPANDED: bool> {
+struct VisitBlock<'v, 'r, S: Simd, P: Policy> {
     any: &'v mut Any<'r, S, P>,
     slot: &'v [u8],
     /// Which of the block's sub-boxes the ray meets.
@@ -212,7 +212,7 @@ struct VisitBlock<'v, 'r, S: Simd, P: Policy, const EXPANDED: bool> {
     counters: &'v mut TraceCounters,
 }
 
-impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '_, S, P, EXPANDED> {
+impl<S: Simd, P: Policy> Operation<S> for VisitBlock<'_, '_, S, P> {
     type Output = bool;
 
     #[inline(always)]
@@ -234,7 +234,7 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
                 if child == Child::NONE {
                     return false;
                 }
-                if any.visit_leaf::<EXPANDED>(simd, (&fine, &bounds), child, exact, counters) {
+                if any.visit_leaf(simd, (&fine, &bounds), child, exact, counters) {
                     return true;
                 }
                 child = stack.pop(Limit::NONE);
@@ -252,7 +252,7 @@ impl<S: Simd, P: Policy, const EXPANDED: bool> Operation<S> for VisitBlock<'_, '
 
 impl<S: Simd, P: Policy> Any<'_, S, P> {
     #[inline(always)]
-    fn visit_leaf<const EXPANDED: bool>(
+    fn visit_leaf(
         &mut self,
         simd: S,
         (fine, bounds): (&Fine<'_>, &ErrorBounds<S>),
@@ -263,7 +263,7 @@ impl<S: Simd, P: Policy> Any<'_, S, P> {
         let count = leaf.triangle_count();
         let edge = fine.edge(leaf);
         counters.triangle_tests += count as u64;
-        let triangles_of_leaf = fine.leaf::<EXPANDED>(leaf);
+        let triangles_of_leaf = fine.leaf(P::EXPANDED, leaf);
         let mut first = 0;
         while first < count {
             let packet = triangles_of_leaf.packet(simd, first);

@@ -60,7 +60,7 @@ pub(super) struct Closest<'r, S: Simd, P: Policy, K: Keep> {
 /// Returns the block at which it stopped, if the pins are not to load and one was missing; to go on, call it again with
 /// that block as `from` and `kept` as it was left.
 #[inline(always)]
-pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
+pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
     simd: S,
     work: &mut Work<'_, '_>,
     Prepared { group, lane, query, local }: Prepared<'_>,
@@ -90,7 +90,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
         (query.local_low(t_min), query.local_high(end.unwrap_or(ray.t_max)))
     };
     let mut closest: Closest<'_, S, P, K> = Closest {
-        prepared: P::prepare(simd, &local.test.triangles),
+        prepared: P::prepare(simd, work.octree.tier, &local.test.triangles),
         local,
         low,
         high,
@@ -140,7 +140,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
                     break Some(BlockId(block));
                 };
                 work.counters.block_visits += 1;
-                let visit = VisitBlock::<S, P, K, EXPANDED> {
+                let visit = VisitBlock::<S, P, K> {
                     closest: &mut closest,
                     slot,
                     near,
@@ -173,7 +173,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep, const EXPANDED: bool>(
 }
 
 /// The traversal of one block. A function of its own, so that the registers are its own.
-pub(super) struct VisitBlock<'v, 'r, S: Simd, P: Policy, K: Keep, const EXPANDED: bool> {
+pub(super) struct VisitBlock<'v, 'r, S: Simd, P: Policy, K: Keep> {
     pub closest: &'v mut Closest<'r, S, P, K>,
     pub slot: &'v [u8],
     /// Where the ray enters the block's sub-boxes, and which.
@@ -185,9 +185,7 @@ pub(super) struct VisitBlock<'v, 'r, S: Simd, P: Policy, K: Keep, const EXPANDED
     pub counters: &'v mut TraceCounters,
 }
 
-impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
-    for VisitBlock<'_, '_, S, P, K, EXPANDED>
-{
+impl<S: Simd, P: Policy, K: Keep> Operation<S> for VisitBlock<'_, '_, S, P, K> {
     type Output = ();
 
     #[inline(always)]
@@ -211,7 +209,7 @@ impl<S: Simd, P: Policy, K: Keep, const EXPANDED: bool> Operation<S>
                     counters.box_tests += box_tests;
                     return;
                 }
-                closest.visit_leaf::<EXPANDED>(simd, (&fine, &bounds), child, exact, counters);
+                closest.visit_leaf(simd, (&fine, &bounds), child, exact, counters);
                 child = stack.pop(closest.limit);
             }
             let node = fine.node(child);
@@ -268,7 +266,7 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
     }
 
     #[inline(always)]
-    fn visit_leaf<const EXPANDED: bool>(
+    fn visit_leaf(
         &mut self,
         simd: S,
         (fine, bounds): (&Fine<'_>, &ErrorBounds<S>),
@@ -279,7 +277,7 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
         let count = leaf.triangle_count();
         let edge = fine.edge(leaf);
         counters.triangle_tests += count as u64;
-        let triangles_of_leaf = fine.leaf::<EXPANDED>(leaf);
+        let triangles_of_leaf = fine.leaf(P::EXPANDED, leaf);
         let mut first = 0;
         while first < count {
             let packet = triangles_of_leaf.packet(simd, first);

@@ -1,9 +1,10 @@
-//! How the triangles of a leaf are decided: a type for each [`Tier`](crate::octree::Tier), so that the traversal is
-//! compiled once for each and no tier costs another a branch.
+//! How the triangles of a leaf are decided. The two tiers that people choose for speed have a type for each layout of leaves, so
+//! that the traversal is compiled for it and has no branch; the others are chosen between where they are used, because each further
+//! type compiles every query once more.
 
 use super::exact::ExactRay;
 use crate::geom::{Ray, TriangleHit, intersect_plain};
-use crate::octree::QueryRay;
+use crate::octree::{QueryRay, Tier};
 use crate::simd::{ErrorBounds, Interval, Packet, Shear, Simd, TriangleRay};
 use crate::stats::TraceCounters;
 
@@ -21,13 +22,15 @@ pub(super) struct Candidate<'c> {
 
 /// A way to decide.
 pub(super) trait Policy {
+    /// Whether the leaves that it is compiled for are expanded; `None` for any.
+    const EXPANDED: Option<bool>;
     /// What it needs of a ray beside what all have.
     type Ray<S: Simd>: Copy;
     /// What its kernel knows of the lanes that it let through.
     type Seen<S: Simd>;
 
-    /// Prepares a ray. Directions are the same in all frames.
-    fn prepare<S: Simd>(simd: S, triangles: &TriangleRay) -> Self::Ray<S>;
+    /// Prepares a ray for a tier that the policy is for. Directions are the same in all frames.
+    fn prepare<S: Simd>(simd: S, tier: Tier, triangles: &TriangleRay) -> Self::Ray<S>;
 
     /// The lanes of `packet` that may be hit within `interval`. `bounds`: for the ray in this block, and a bound on the
     /// magnitude of the packet's edges.
@@ -41,7 +44,6 @@ pub(super) trait Policy {
     ) -> (u32, Self::Seen<S>);
 
     /// [`Policy::candidates`], and those of them that need no decision. `inner` lies inside the ray's interval.
-    #[inline(always)]
     fn candidates_and_certain<S: Simd>(
         simd: S,
         prepared: &Self::Ray<S>,
@@ -49,11 +51,8 @@ pub(super) trait Policy {
         packet: &Packet<S>,
         bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
-        _inner: &Interval<S::F>,
-    ) -> (u32, u32, Self::Seen<S>) {
-        let (candidates, seen) = Self::candidates(simd, prepared, triangles, packet, bounds, interval);
-        (candidates, 0, seen)
-    }
+        inner: &Interval<S::F>,
+    ) -> (u32, u32, Self::Seen<S>);
 
     /// Whether a candidate is hit, and where.
     fn settle<S: Simd>(
@@ -66,14 +65,15 @@ pub(super) trait Policy {
 }
 
 /// f32 rejects, f64 or exact arithmetic decides.
-pub(super) struct Certified;
+pub(super) struct Certified<const EXPANDED: bool>;
 
-impl Policy for Certified {
+impl<const EXPANDED: bool> Policy for Certified<EXPANDED> {
+    const EXPANDED: Option<bool> = Some(EXPANDED);
     type Ray<S: Simd> = ();
     type Seen<S: Simd> = ();
 
     #[inline(always)]
-    fn prepare<S: Simd>(_: S, _: &TriangleRay) {}
+    fn prepare<S: Simd>(_: S, _: Tier, _: &TriangleRay) {}
 
     #[inline(always)]
     fn candidates<S: Simd>(
@@ -116,88 +116,16 @@ impl Policy for Certified {
     }
 }
 
-/// Exact arithmetic decides every triangle.
-pub(super) struct Exact;
-
-impl Policy for Exact {
-    type Ray<S: Simd> = ();
-    type Seen<S: Simd> = ();
-
-    #[inline(always)]
-    fn prepare<S: Simd>(_: S, _: &TriangleRay) {}
-
-    #[inline(always)]
-    fn candidates<S: Simd>(
-        _: S,
-        (): &(),
-        _: &TriangleRay,
-        _: &Packet<S>,
-        _: (&ErrorBounds<S>, f32),
-        _: &Interval<S::F>,
-    ) -> (u32, ()) {
-        (u32::MAX, ())
-    }
-
-    #[inline(always)]
-    fn settle<S: Simd>(
-        _: S,
-        (): &(),
-        candidate: &Candidate<'_>,
-        exact: &mut ExactRay,
-        counters: &mut TraceCounters,
-    ) -> Option<TriangleHit> {
-        let Candidate { ray, query, vertices, t_min, t_max, .. } = *candidate;
-        counters.decisions += 1;
-        counters.exact_fallbacks += 1;
-        exact.frame(ray, query.is_plain(), t_min, t_max).intersect_exactly(vertices)
-    }
-}
-
-/// f32 rejects, a plain test in f64 decides.
-pub(super) struct Double;
-
-impl Policy for Double {
-    type Ray<S: Simd> = ();
-    type Seen<S: Simd> = ();
-
-    #[inline(always)]
-    fn prepare<S: Simd>(_: S, _: &TriangleRay) {}
-
-    #[inline(always)]
-    fn candidates<S: Simd>(
-        simd: S,
-        (): &(),
-        triangles: &TriangleRay,
-        packet: &Packet<S>,
-        bounds: (&ErrorBounds<S>, f32),
-        interval: &Interval<S::F>,
-    ) -> (u32, ()) {
-        (triangles.survivors(simd, packet, bounds, interval), ())
-    }
-
-    #[inline(always)]
-    fn settle<S: Simd>(
-        _: S,
-        (): &(),
-        candidate: &Candidate<'_>,
-        _: &mut ExactRay,
-        counters: &mut TraceCounters,
-    ) -> Option<TriangleHit> {
-        let Candidate { ray, vertices, t_min, t_max, .. } = *candidate;
-        counters.decisions += 1;
-        intersect_plain(&Ray { t_min, t_max, ..*ray }, vertices)
-    }
-}
-
 /// The kernel's f32 test decides.
-pub(super) struct Fast;
+pub(super) struct Fast<const EXPANDED: bool>;
 
-impl Policy for Fast {
+impl<const EXPANDED: bool> Policy for Fast<EXPANDED> {
+    const EXPANDED: Option<bool> = Some(EXPANDED);
     type Ray<S: Simd> = ();
     type Seen<S: Simd> = [S::F; 3];
 
     #[inline(always)]
-    fn prepare<S: Simd>(_: S, _: &TriangleRay) {}
+    fn prepare<S: Simd>(_: S, _: Tier, _: &TriangleRay) {}
 
     #[inline(always)]
     fn candidates<S: Simd>(
@@ -237,53 +165,101 @@ impl Policy for Fast {
     }
 }
 
-/// The kernel's watertight f32 test decides.
-pub(super) struct Watertight;
+/// [`Tier::Watertight`], [`Tier::Double`] or [`Tier::Exact`].
+pub(super) struct Selected;
 
-impl Policy for Watertight {
-    type Ray<S: Simd> = Shear<S>;
-    type Seen<S: Simd> = [S::F; 3];
+/// What [`Selected`] needs of a ray.
+#[derive(Clone, Copy)]
+pub(super) enum SelectedRay<S: Simd> {
+    /// The kernel's watertight f32 test decides.
+    Watertight(Shear<S>),
+    /// f32 rejects, a plain test in f64 decides.
+    Double,
+    /// Exact arithmetic decides every triangle.
+    Exact,
+}
+
+/// What the kernel of [`Selected`] knows.
+pub(super) enum SelectedSeen<F> {
+    Watertight([F; 3]),
+    Double,
+    Exact,
+}
+
+impl Policy for Selected {
+    const EXPANDED: Option<bool> = None;
+    type Ray<S: Simd> = SelectedRay<S>;
+    type Seen<S: Simd> = SelectedSeen<S::F>;
 
     #[inline(always)]
-    fn prepare<S: Simd>(simd: S, triangles: &TriangleRay) -> Shear<S> {
-        Shear::new(simd, triangles.direction)
+    fn prepare<S: Simd>(simd: S, tier: Tier, triangles: &TriangleRay) -> SelectedRay<S> {
+        match tier {
+            Tier::Watertight => SelectedRay::Watertight(Shear::new(simd, triangles.direction)),
+            Tier::Double => SelectedRay::Double,
+            Tier::Fast | Tier::Certified | Tier::Exact => SelectedRay::Exact,
+        }
     }
 
     #[inline(always)]
     fn candidates<S: Simd>(
         simd: S,
-        shear: &Shear<S>,
+        prepared: &SelectedRay<S>,
         triangles: &TriangleRay,
         packet: &Packet<S>,
-        _: (&ErrorBounds<S>, f32),
+        bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
-    ) -> (u32, [S::F; 3]) {
-        shear.decide(simd, packet, simd.splat3(triangles.origin), interval)
+    ) -> (u32, SelectedSeen<S::F>) {
+        match prepared {
+            SelectedRay::Watertight(shear) => {
+                let (hits, seen) = shear.decide(simd, packet, simd.splat3(triangles.origin), interval);
+                (hits, SelectedSeen::Watertight(seen))
+            }
+            SelectedRay::Double => {
+                (triangles.survivors(simd, packet, bounds, interval), SelectedSeen::Double)
+            }
+            SelectedRay::Exact => (u32::MAX, SelectedSeen::Exact),
+        }
     }
 
     #[inline(always)]
     fn candidates_and_certain<S: Simd>(
         simd: S,
-        shear: &Shear<S>,
+        prepared: &SelectedRay<S>,
         triangles: &TriangleRay,
         packet: &Packet<S>,
-        _: (&ErrorBounds<S>, f32),
+        bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
         _: &Interval<S::F>,
-    ) -> (u32, u32, [S::F; 3]) {
-        let (hits, seen) = shear.decide(simd, packet, simd.splat3(triangles.origin), interval);
-        (hits, hits, seen)
+    ) -> (u32, u32, SelectedSeen<S::F>) {
+        let (candidates, seen) = Self::candidates(simd, prepared, triangles, packet, bounds, interval);
+        let certain = match seen {
+            SelectedSeen::Watertight(_) => candidates,
+            SelectedSeen::Double | SelectedSeen::Exact => 0,
+        };
+        (candidates, certain, seen)
     }
 
     #[inline(always)]
     fn settle<S: Simd>(
         simd: S,
-        seen: &[S::F; 3],
+        seen: &SelectedSeen<S::F>,
         candidate: &Candidate<'_>,
-        _: &mut ExactRay,
-        _: &mut TraceCounters,
+        exact: &mut ExactRay,
+        counters: &mut TraceCounters,
     ) -> Option<TriangleHit> {
-        single(simd, seen, candidate)
+        let Candidate { ray, query, vertices, t_min, t_max, .. } = *candidate;
+        match seen {
+            SelectedSeen::Watertight(seen) => single(simd, seen, candidate),
+            SelectedSeen::Double => {
+                counters.decisions += 1;
+                intersect_plain(&Ray { t_min, t_max, ..*ray }, vertices)
+            }
+            SelectedSeen::Exact => {
+                counters.decisions += 1;
+                counters.exact_fallbacks += 1;
+                exact.frame(ray, query.is_plain(), t_min, t_max).intersect_exactly(vertices)
+            }
+        }
     }
 }
 

@@ -253,7 +253,7 @@ impl AnyOperation for Closest<'_, '_> {
 
 impl Kernel for Closest<'_, '_> {
     #[inline(always)]
-    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
+    fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let Closest { pool, requests, on_missing, block, answers } = self;
         let RayPool { tracer, suspended, .. } = pool;
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
@@ -288,9 +288,8 @@ impl Kernel for Closest<'_, '_> {
             loop {
                 let prepared = Prepared { group: &group, lane: 0, query: &mut query, local: &mut local };
                 let best = &mut answers.hits[last].1;
-                let stopped =
-                    closest_hit::<S, P, _, EXPANDED>(simd, &mut work, prepared, &ray, after, from, best)
-                        .map_err(|error| error.at(requests.len() - new.len() - 1))?;
+                let stopped = closest_hit::<S, P, _>(simd, &mut work, prepared, &ray, after, from, best)
+                    .map_err(|error| error.at(requests.len() - new.len() - 1))?;
                 let Some(block) = stopped else { break };
                 place = place.or_else(|| suspended.take_place());
                 if let Some(place) = place.take() {
@@ -329,7 +328,7 @@ impl AnyOperation for Any<'_, '_> {
 
 impl Kernel for Any<'_, '_> {
     #[inline(always)]
-    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
+    fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let Any { pool, requests, on_missing, block, answers } = self;
         let RayPool { tracer, suspended, ignore, .. } = pool;
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
@@ -361,7 +360,7 @@ impl Kernel for Any<'_, '_> {
             let group = RayGroup::new(simd, std::slice::from_ref(&ray), &work.octree.space);
             loop {
                 let prepared = Prepared { group: &group, lane: 0, query: &mut query, local: &mut local };
-                let answer = occlusion::<S, P, EXPANDED>(
+                let answer = occlusion::<S, P>(
                     simd,
                     &mut work,
                     prepared,

@@ -27,7 +27,7 @@ impl Lanes {
 /// Puts the least hit of each of eight rays into `hits`, which are empty at first. `bundle` is that of `group`. All blocks have the
 /// coarse tree's frame, and the pins load.
 #[inline(always)]
-pub(super) fn closest_hits_together<S: Simd, P: Policy, const EXPANDED: bool>(
+pub(super) fn closest_hits_together<S: Simd, P: Policy>(
     simd: S,
     work: &mut Work<'_, '_>,
     (group, bundle): (&RayGroup, &RayBundle),
@@ -44,7 +44,7 @@ pub(super) fn closest_hits_together<S: Simd, P: Policy, const EXPANDED: bool>(
         }
         let (low, high) = group.outer(lane);
         queries.push(Closest {
-            prepared: P::prepare(simd, &local.test.triangles),
+            prepared: P::prepare(simd, work.octree.tier, &local.test.triangles),
             local,
             low,
             high,
@@ -96,7 +96,7 @@ pub(super) fn closest_hits_together<S: Simd, P: Policy, const EXPANDED: bool>(
                     }
                     work.counters.block_visits += 1;
                     work.exact.reset();
-                    simd.enter(VisitBlock::<S, P, Option<Hit>, EXPANDED> {
+                    simd.enter(VisitBlock::<S, P, Option<Hit>> {
                         closest,
                         slot,
                         near,

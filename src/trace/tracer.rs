@@ -9,7 +9,7 @@ use super::crossings::PendingCrossings;
 use super::exact::ExactRay;
 use super::keep::WaitingHits;
 use super::load::{LoadScratch, Pins};
-use super::policy::{Certified, Double, Exact, Fast, Policy, Watertight};
+use super::policy::{Certified, Fast, Policy, Selected};
 use super::stack::{Entries, UNUSED};
 use super::together::{Lanes, closest_hits_together};
 use super::{Hit, MaterialSet, Occlusion};
@@ -189,7 +189,7 @@ impl AnyOperation for ClosestHits<'_, '_> {
 
 impl Query for ClosestHits<'_, '_> {
     #[inline(always)]
-    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
+    fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         let mut lanes = Lanes::UNSET;
@@ -204,7 +204,7 @@ impl Query for ClosestHits<'_, '_> {
                 work.counters.rays += LANES as u64;
                 hits.fill(None);
                 let bundle = (&group, bundle);
-                closest_hits_together::<S, P, EXPANDED>(simd, &mut work, bundle, rays, hits, &mut lanes)
+                closest_hits_together::<S, P>(simd, &mut work, bundle, rays, hits, &mut lanes)
                     .map_err(|error| error.at(index))?;
                 index += LANES;
                 continue;
@@ -215,7 +215,7 @@ impl Query for ClosestHits<'_, '_> {
                 let after = self.after.get(index).copied();
                 *hit = None;
                 let prepared = Prepared { group: &group, lane, query: &mut query, local: &mut local };
-                closest_hit::<S, P, _, EXPANDED>(simd, &mut work, prepared, ray, after, None, hit)
+                closest_hit::<S, P, _>(simd, &mut work, prepared, ray, after, None, hit)
                     .map_err(|error| error.at(index))?;
                 index += 1;
             }
@@ -242,7 +242,7 @@ impl AnyOperation for Occlusions<'_, '_> {
 
 impl Query for Occlusions<'_, '_> {
     #[inline(always)]
-    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
+    fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         let mut unvisited = Unvisited::UNSET;
@@ -254,9 +254,8 @@ impl Query for Occlusions<'_, '_> {
                 work.pins.begin_query(QueryKind::Occlusion);
                 let prepared = Prepared { group: &group, lane, query: &mut query, local: &mut local };
                 let rest = &mut unvisited;
-                let answer =
-                    occlusion::<S, P, EXPANDED>(simd, &mut work, prepared, ray, self.ignore, rest, false)
-                        .map_err(|error| error.at(index))?;
+                let answer = occlusion::<S, P>(simd, &mut work, prepared, ray, self.ignore, rest, false)
+                    .map_err(|error| error.at(index))?;
                 // The pins load, so that there is always an answer.
                 *out = answer.unwrap_or_default();
                 index += 1;
@@ -284,7 +283,7 @@ impl AnyOperation for AllHits<'_, '_> {
 
 impl Query for AllHits<'_, '_> {
     #[inline(always)]
-    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError> {
+    fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let AllHits { mut work, waiting, rays, receiver } = self;
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         for (index, ray) in rays.iter().enumerate() {
@@ -292,7 +291,7 @@ impl Query for AllHits<'_, '_> {
             receiver.begin(index, ray);
             let group = RayGroup::new(simd, std::slice::from_ref(ray), &work.octree.space);
             let prepared = Prepared { group: &group, lane: 0, query: &mut query, local: &mut local };
-            all_hits::<S, P, EXPANDED>(simd, &mut work, prepared, ray, waiting, receiver)
+            all_hits::<S, P>(simd, &mut work, prepared, ray, waiting, receiver)
                 .map_err(|error| error.at(index))?;
         }
         Ok(())
@@ -301,42 +300,31 @@ impl Query for AllHits<'_, '_> {
 
 /// A query over a slice of rays, generic over what an octree was opened with.
 pub(super) trait Query: Sized {
-    fn each<S: Simd, P: Policy, const EXPANDED: bool>(self, simd: S) -> Result<(), TraceError>;
+    fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError>;
 }
 
 /// [`Query::each`] as an operation, so that each combination is a function of its own.
-struct Each<Q, P, const EXPANDED: bool>(Q, PhantomData<P>);
+struct Each<Q, P>(Q, PhantomData<P>);
 
-impl<S: Simd, Q: Query, P: Policy, const EXPANDED: bool> Operation<S> for Each<Q, P, EXPANDED> {
+impl<S: Simd, Q: Query, P: Policy> Operation<S> for Each<Q, P> {
     type Output = Result<(), TraceError>;
 
     #[inline(always)]
     fn run(self, simd: S) -> Self::Output {
-        self.0.each::<S, P, EXPANDED>(simd)
+        self.0.each::<S, P>(simd)
     }
 }
 
 /// Runs `query` with the policy and the layout of `octree`: decided once per call.
 #[inline(always)]
 pub(super) fn enter<S: Simd, Q: Query>(simd: S, octree: &LazyOctree, query: Q) -> Result<(), TraceError> {
-    match octree.tier {
-        Tier::Fast => with_policy::<S, Q, Fast>(simd, octree, query),
-        Tier::Watertight => with_policy::<S, Q, Watertight>(simd, octree, query),
-        Tier::Double => with_policy::<S, Q, Double>(simd, octree, query),
-        Tier::Certified => with_policy::<S, Q, Certified>(simd, octree, query),
-        Tier::Exact => with_policy::<S, Q, Exact>(simd, octree, query),
-    }
-}
-
-#[inline(always)]
-fn with_policy<S: Simd, Q: Query, P: Policy>(
-    simd: S,
-    octree: &LazyOctree,
-    query: Q,
-) -> Result<(), TraceError> {
-    if octree.layout.expanded {
-        simd.enter(Each::<Q, P, true>(query, PhantomData))
-    } else {
-        simd.enter(Each::<Q, P, false>(query, PhantomData))
+    match (octree.tier, octree.layout.expanded) {
+        (Tier::Certified, true) => simd.enter(Each::<Q, Certified<true>>(query, PhantomData)),
+        (Tier::Certified, false) => simd.enter(Each::<Q, Certified<false>>(query, PhantomData)),
+        (Tier::Fast, true) => simd.enter(Each::<Q, Fast<true>>(query, PhantomData)),
+        (Tier::Fast, false) => simd.enter(Each::<Q, Fast<false>>(query, PhantomData)),
+        (Tier::Watertight | Tier::Double | Tier::Exact, _) => {
+            simd.enter(Each::<Q, Selected>(query, PhantomData))
+        }
     }
 }
