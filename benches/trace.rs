@@ -14,13 +14,13 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use outcrop::compile::CompileOptions;
 use outcrop::geom::Ray;
 use outcrop::octree::{LeafLayout, OctreeOptions, Tier};
-use outcrop::procedural::Gears;
+use outcrop::procedural::{Gears, Needles};
 use outcrop::source::MemorySource;
 use outcrop::trace::{Crossing, Hit, Occlusion, Tracer};
 use outcrop::units::Bytes;
-use outcrop::{LazyOctree, MemoryBudget};
+use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 use rays::camera_ray;
-use rays::numbers::{dot, unit};
+use rays::numbers::{Random, dot, unit};
 
 /// Rays per axis of the camera's square.
 const SIDE: u32 = 256;
@@ -139,6 +139,46 @@ fn queries(criterion: &mut Criterion) {
     }
 }
 
+/// Needles across each other, whose boxes tell little: nearly all of the work of a ray is testing triangles, of which
+/// each ray hits few. Per triangle tested.
+fn triangles(criterion: &mut Criterion) {
+    let needles = Needles::new(4000, 1e-4, 1).expect("the numbers make sense");
+    let source =
+        Arc::new(MemorySource::new(compiled(&needles, &CompileOptions::default())).expect("a whole file"));
+    let bounds = source.model().bounds;
+    let [center, reach] = [bounds.center(), bounds.extent()];
+    let mut random = Random(2);
+    let mut place = |size: f64| {
+        let place = random.vector(size);
+        [0, 1, 2].map(|axis| center[axis] + reach[axis] * place[axis])
+    };
+    let rays: Vec<Ray> = (0..4096)
+        .map(|_| {
+            let (origin, target) = (place(2.0), place(0.2));
+            Ray::new(origin, [0, 1, 2].map(|axis| target[axis] - origin[axis]))
+        })
+        .collect();
+    let mut group = criterion.benchmark_group("trace/per triangle");
+    let mut counts = Vec::new();
+    for tier in Tier::ALL {
+        let octree = open(&source, OctreeOptions { tier, ..OctreeOptions::default() });
+        let mut tracer = octree.tracer().expect("the budget is ample");
+        let mut hits = Vec::new();
+        closest(&mut tracer, &rays, &mut hits);
+        let before = tracer.counters();
+        closest(&mut tracer, &rays, &mut hits);
+        let tested = tracer.counters().triangle_tests - before.triangle_tests;
+        assert!(tested > 100 * rays.len() as u64, "triangles are what takes the time: {tested}");
+        counts.push(hits.iter().flatten().count());
+        group.throughput(Throughput::Elements(tested));
+        group.bench_function(tier.name(), |bencher| {
+            bencher.iter(|| closest(&mut tracer, black_box(&rays), &mut hits));
+        });
+    }
+    let [.., certified, exact] = counts[..] else { unreachable!("five tiers") };
+    assert!(certified == exact && certified > 0, "{counts:?} hits");
+}
+
 /// Reading, decoding and building: the first ray into a block of an octree with one slot.
 fn loads(criterion: &mut Criterion) {
     let source = gears();
@@ -249,5 +289,5 @@ fn gather(tracer: &mut Tracer<'_>, rays: &[Ray]) -> Digest {
     all
 }
 
-criterion_group! { name = benches; config = Criterion::default().sample_size(10); targets = queries, all_hits, loads }
+criterion_group! { name = benches; config = Criterion::default().sample_size(10); targets = queries, triangles, all_hits, loads }
 criterion_main!(benches);

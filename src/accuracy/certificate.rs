@@ -24,6 +24,9 @@ pub struct Certificate {
     /// Estimated: the error of finitely many samples, in every metric. That in [`Metric::Flip`] holds what was cut off as well. None if a
     /// pixel has a single sample, which says nothing about itself, or the picture is not whole.
     pub estimates: Option<[Estimate; 3]>,
+    /// The whole error in each metric of [`Metric::ALL`]: proven and estimated parts together, with the certificate's confidence. None
+    /// where there are no estimates.
+    pub error_bounds: Option<[f64; 3]>,
     /// What some pixels that were sampled again show of the picture's error, where samples had a say in how many there are. None where
     /// sampling is not adaptive, and where there are no estimates.
     pub check: Option<SamplingCheck>,
@@ -122,11 +125,10 @@ pub struct GoalSeconds {
 }
 
 impl Certificate {
-    /// What is known of the whole error in a metric: proven and estimated parts added up. None if there is no estimate.
+    /// What is known of the whole error in a metric: see [`Certificate::error_bounds`].
     pub fn error_bound(&self, metric: Metric) -> Option<f64> {
-        let estimates = self.estimates?;
-        let estimate = estimates.iter().find(|estimate| estimate.metric == metric)?;
-        Some(estimate.upper + self.cut_off.of(metric).unwrap_or(0.0))
+        let index = Metric::ALL.iter().position(|known| *known == metric)?;
+        Some(self.error_bounds?[index])
     }
 }
 

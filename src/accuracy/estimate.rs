@@ -236,6 +236,44 @@ pub(super) fn cut_off(metric: Metric, lost: impl ExactSizeIterator<Item = f64>) 
     }
 }
 
+/// The whole error, of which sampling makes at most `sampling` and cutting off at most `cut`: for FLIP, whose estimate holds both,
+/// `sampling`.
+///
+/// Cutting off takes light away from each pixel, the same whatever the samples, and sampling adds noise without a bias. So in the mean over a picture
+/// their squares add up, and not they: `|n - b|^2 = |n|^2 + |b|^2 - 2 n b`, where `n b` has the mean 0 and, as pixels are independent of
+/// each other, at most the variance `9 sum B^2 s^2` for what pixels lack, `B`, and their deviations, `s`, in any of three channels. It is
+/// allowed [`CROSS_QUANTILE`] deviations.
+pub(super) fn together(
+    metric: Metric,
+    sampling: f64,
+    cut: f64,
+    pixels: &[Sampled],
+    pixels_total: u64,
+) -> f64 {
+    match metric {
+        Metric::Flip => sampling,
+        Metric::Max => sampling + cut,
+        Metric::Rmse => {
+            let products: f64 = pixels.iter().map(|pixel| (pixel.lost * pixel.deviation).powi(2)).sum();
+            // Mean over the channels of the picture; the pixels at hand may stand for more.
+            let variance = products / pixels.len().max(1) as f64 / pixels_total.max(1) as f64;
+            let cross = 2.0 * CROSS_QUANTILE * variance.sqrt();
+            (sampling * sampling + cut * cut + cross).sqrt().min(sampling + cut)
+        }
+    }
+}
+
+/// Deviations that a sum of many independent terms stays within, but for one time in 1,000.
+const CROSS_QUANTILE: f64 = 3.1;
+
+/// How large the error of sampling may be if cutting off adds up to `cut`; see [`together`].
+pub(super) fn sampling_room(metric: Metric, bound: f64, cut: f64) -> f64 {
+    match metric {
+        Metric::Rmse => (bound * bound - cut * cut).max(0.0).sqrt(),
+        Metric::Max | Metric::Flip => (bound - cut).max(0.0),
+    }
+}
+
 /// What FLIP makes of all that may have been cut off: not a proof, as its filters do not know where light is missing.
 pub(super) fn flip_cut_off(pixels: &[Sampled], width: u32) -> f64 {
     let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();

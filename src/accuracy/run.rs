@@ -4,10 +4,12 @@ use std::time::{Duration, Instant};
 
 use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalCounters, GoalSeconds, Verdict};
 use super::check::{self, SamplingCheck};
-use super::estimate::{MeanSquare, Sampled, cut_off, estimate, max_quantile};
+use super::estimate::{MeanSquare, Sampled, cut_off, estimate, max_quantile, sampling_room, together};
 use super::predict::Prediction;
 use super::time::{self, Steering};
-use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs};
+use super::{
+    Estimate, Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs,
+};
 use crate::LazyOctree;
 use crate::budget::MemoryBudget;
 use crate::compile::{Control, Threads};
@@ -26,8 +28,7 @@ use crate::units::{Bytes, TileId};
 /// Pixels that a probe looks at, at most one in [`PROBE_SHARE`].
 const PROBE_PIXELS: u32 = 4096;
 const PROBE_SHARE: u64 = 16;
-/// The part of an error goal that cutting off may take, and what is aimed at of the rest.
-const CUT_OFF_SHARE: f64 = 0.25;
+/// What is aimed at of an error goal.
 const AIM: f64 = 0.95;
 /// Pictures made for an error goal, at most.
 const ATTEMPTS_MAX: u32 = 3;
@@ -241,7 +242,8 @@ impl Job<'_, '_> {
                 break;
             }
             let cut = certificate.cut_off.of(metric).unwrap_or(0.0);
-            let estimated = reached - cut;
+            let estimates = certificate.estimates.iter().flatten();
+            let estimated = estimates.filter(|of| of.metric == metric).map(|of| of.upper).sum::<f64>();
             if !is_cancelled {
                 certificate.verdict = if reached <= bound {
                     Verdict::Met
@@ -257,10 +259,11 @@ impl Job<'_, '_> {
                 break;
             }
             // What missed by a factor needs a little less than that factor.
-            if cut > CUT_OFF_SHARE * bound {
-                contribution_bound *= (CUT_OFF_SHARE * bound / cut).max(1.0 / 64.0);
+            let most = cut_off_share(metric) * bound;
+            if cut > most {
+                contribution_bound *= (most / cut).max(1.0 / 64.0);
             }
-            let room = bound - cut.min(CUT_OFF_SHARE * bound);
+            let room = sampling_room(metric, bound, cut.min(most));
             error *= (0.9 * room / estimated.max(f64::MIN_POSITIVE)).clamp(0.1, 1.0);
         }
         let (_, mut best) = best.ok_or(RenderError::Cancelled)?;
@@ -287,10 +290,12 @@ impl Job<'_, '_> {
 
     /// The contribution bound and the threshold (as a deviation) for an error goal.
     fn choose(&mut self, metric: Metric, bound: f64) -> Result<(f64, f64), RenderError> {
+        // High, and then down in steps: a probe of first samples costs little, and following rays that need not be followed much.
         let mut contribution_bound = match metric {
-            Metric::Flip => 0.05 * bound,
-            _ => 0.25 * bound,
+            Metric::Flip => 0.2 * bound,
+            Metric::Rmse | Metric::Max => bound,
         };
+        let most = cut_off_share(metric) * bound;
         let mut cut_before = f64::INFINITY;
         for _ in 0..8 {
             let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
@@ -302,12 +307,12 @@ impl Job<'_, '_> {
                 _ => first.cut_off(metric, f64::INFINITY),
             };
             // What work budgets cut does not shrink.
-            if cut > CUT_OFF_SHARE * bound && cut < 0.9 * cut_before {
+            if cut > most && cut < 0.95 * cut_before {
                 self.count(&probe);
                 // FLIP grows with differences to the power of 0.7.
                 let power = if metric == Metric::Flip { 1.0 / 0.7 } else { 1.0 };
-                let step = libm::pow(CUT_OFF_SHARE * bound / cut, power);
-                contribution_bound *= step.clamp(1.0 / 64.0, 0.5);
+                let step = libm::pow(most / cut, power);
+                contribution_bound *= step.clamp(1.0 / 64.0, 0.7);
                 cut_before = cut;
                 continue;
             }
@@ -332,15 +337,13 @@ impl Job<'_, '_> {
         bound: f64,
     ) -> Result<f64, RenderError> {
         let first = self.prediction(probe);
-        let room = |cut: f64| (bound - cut).max(0.0);
         if metric == Metric::Max {
-            let room = room(first.cut_off(metric, f64::INFINITY));
+            let room = sampling_room(metric, bound, first.cut_off(metric, f64::INFINITY));
             return Ok(AIM * room / max_quantile(self.pixels_total(), self.options.confidence));
         }
         let mut high = first.deviation_max();
         let keeps = |prediction: &Prediction<'_>, deviation: f64| {
-            let cut = prediction.cut_off(metric, deviation);
-            prediction.estimate(metric, deviation).upper <= AIM * room(cut)
+            prediction.error_bound(metric, deviation) <= AIM * bound
         };
         let samples_max = self.options.samples_max;
         // From the first samples alone to ever more, until the bound is kept; then back to the highest threshold that keeps it.
@@ -538,14 +541,19 @@ impl Job<'_, '_> {
         let is_known = is_whole && !statistics.is_empty() && statistics.iter().all(|pixel| pixel.samples > 1);
         let pixels = if is_known { sampled(&image.film) } else { Vec::new() };
         let known = if is_known { self.squares(image, &knobs, &pixels)? } else { Known::Nothing };
-        let (estimates, check) = match known {
+        let (estimates, error_bounds, check) = match known {
             Known::Squares(squares, check) => {
                 let (width, total) = (image.film.width(), self.pixels_total());
                 let confidence = self.options.confidence;
-                let of = |metric| estimate(metric, &pixels, width, squares, total, confidence);
-                (Some(Metric::ALL.map(of)), check)
+                let estimates =
+                    Metric::ALL.map(|metric| estimate(metric, &pixels, width, squares, total, confidence));
+                let bounds = estimates.map(|Estimate { metric, upper, .. }| {
+                    let cut = cut_off(metric, lost()).unwrap_or(0.0);
+                    together(metric, upper, cut, &pixels, total)
+                });
+                (Some(estimates), Some(bounds), check)
             }
-            Known::Nothing | Known::Cancelled => (None, None),
+            Known::Nothing | Known::Cancelled => (None, None, None),
         };
         self.seconds.checking += begun.elapsed().as_secs_f64();
         let is_cancelled = !is_whole || matches!(known, Known::Cancelled);
@@ -565,6 +573,7 @@ impl Job<'_, '_> {
                 in_expectation: self.has_sampled_effects(),
             },
             estimates,
+            error_bounds,
             check,
             confidence: self.options.confidence,
             samples_mean: statistics.iter().map(|pixel| f64::from(pixel.samples)).sum::<f64>() / count,
@@ -639,6 +648,15 @@ fn whole(image: &RenderedImage) -> Progress {
     let tiles = image.report.tiles_total;
     let samples = image.film.pixels().len() as u64 * u64::from(image.report.samples_per_pixel);
     Progress { samples, samples_total: samples, tiles, tiles_total: tiles }
+}
+
+/// The part of an error goal that cutting off may take. In RMSE it adds up with the rest in squares, and so half of it leaves 0.87 for
+/// samples.
+fn cut_off_share(metric: Metric) -> f64 {
+    match metric {
+        Metric::Rmse => 0.5,
+        Metric::Max | Metric::Flip => 0.25,
+    }
 }
 
 /// Tiles small enough that there are at least [`STEERED_TILES_MIN`], but not so small that their borders cost much.
