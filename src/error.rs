@@ -463,6 +463,44 @@ pub enum RenderError {
     Cancelled,
 }
 
+/// A scene file could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneFileError {
+    /// The operating system failed.
+    #[error("cannot read {}: {error}", path.display())]
+    Io {
+        /// The scene file.
+        path: PathBuf,
+        /// The cause.
+        error: io::Error,
+    },
+    /// It is no text, or longer than any scene file.
+    #[error("{}: {reason}", path.display())]
+    Text {
+        /// The scene file.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// A part of it is not TOML, is not known, or makes no sense.
+    #[error("{}:{line}: {}{reason}", path.display(), named(key))]
+    Key {
+        /// The scene file.
+        path: PathBuf,
+        /// Counted from 1: where the key's value or its table begins.
+        line: u64,
+        /// The key with its tables, as in `light.spot[2].radius`; empty if the text is no TOML.
+        key: String,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+}
+
+/// A key before what is wrong with it.
+fn named(key: &str) -> String {
+    if key.is_empty() { String::new() } else { format!("`{key}`: ") }
+}
+
 /// A frame could not be sent or received, or a connection not be made.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TransportError {

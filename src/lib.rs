@@ -30,6 +30,7 @@
 //! 1. [`trace`]: queries on streams of rays
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
+//! 1. [`scene_file`]: scenes described in TOML files
 //! 1. [`schedule`]: which worker renders which tile; no threads, no clock, no sockets
 //! 1. [`transport`]: frames between nodes
 //! 1. [`cluster`]: coordinator, workers, readers
@@ -54,6 +55,7 @@ pub mod octree;
 pub mod procedural;
 pub mod render;
 pub mod scene;
+pub mod scene_file;
 pub mod schedule;
 pub mod simd;
 pub mod source;

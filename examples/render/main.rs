@@ -1,4 +1,4 @@
-//! Renders a model file, a compiled file or, with no argument, procedural gears, inside a memory budget.
+//! Renders a scene file, a model file, a compiled file or, with no argument, procedural gears, inside a memory budget.
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -25,8 +25,9 @@ use outcrop::compile::Control;
 use outcrop::free_memory::FollowFreeMemory;
 use outcrop::model::Model;
 use outcrop::octree::{LazyOctree, OctreeOptions, TreeQuality};
-use outcrop::render::{Outcome, RenderSettings, RenderedImage, Renderer, Threads};
+use outcrop::render::{Outcome, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, GltfView, Light, Scene};
+use outcrop::scene_file::SceneFile;
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
 use outcrop::texture::Textures;
 use outcrop::{BlockSource, MemoryBudget};
@@ -126,9 +127,9 @@ fn render(
     meter: &mut Meter,
     summary: &mut Summary,
 ) -> Result<RenderedImage, Box<dyn Error>> {
-    let settings = settings(options);
+    let settings = options.settings;
     let threads = Threads::Count(options.threads as usize);
-    let scene = with_textures(scene(options, source.model())?, options, source.model(), budget)?;
+    let scene = with_textures(scene(options, source.model(), budget)?, options, source.model(), budget)?;
     // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
     let set_aside = budget.reserve(picture_bytes, "the picture")?;
@@ -187,15 +188,6 @@ fn create(path: &Path) -> Result<File, String> {
     File::create(path).map_err(|error| format!("cannot write {}: {error}", path.display()))
 }
 
-fn settings(options: &Options) -> RenderSettings {
-    let mut settings = RenderSettings::new(options.size[0], options.size[1]);
-    settings.samples_per_pixel = options.samples_per_pixel;
-    if let Some(bound) = options.contribution_bound {
-        settings.contribution_bound = bound;
-    }
-    settings
-}
-
 /// The cameras and lights of the model file, if it is one that has them.
 fn file_view(options: &Options) -> Result<GltfView, Box<dyn Error>> {
     let is_gltf = |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "gltf" || kind == "glb");
@@ -209,8 +201,13 @@ fn file_view(options: &Options) -> Result<GltfView, Box<dyn Error>> {
 }
 
 /// The scene that the options describe; what they leave out is chosen to fit the model.
-fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
-    let aspect = f64::from(options.size[0]) / f64::from(options.size[1]);
+fn scene(options: &Options, model: &Model, budget: &MemoryBudget) -> Result<Scene, Box<dyn Error>> {
+    if let Some(file) = &options.scene {
+        // In the shape of the picture that is made.
+        let file = SceneFile { settings: options.settings, ..file.clone() };
+        return Ok(file.scene(&model.bounds, budget)?);
+    }
+    let aspect = f64::from(options.settings.width) / f64::from(options.settings.height);
     let up = options.up;
     let framing = match up {
         Some(up) => Camera::framing_with_up(&model.bounds, up, aspect),
