@@ -425,6 +425,40 @@ pub enum TraceError {
     },
 }
 
+/// Instances could not be placed.
+#[derive(Debug, thiserror::Error)]
+pub enum InstanceError {
+    /// A model could not be opened.
+    #[error("model {model}: {error}")]
+    Model {
+        /// Its number.
+        model: usize,
+        /// The cause.
+        error: TraceError,
+    },
+    /// The budget has no room for what is known of the instances.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+    /// An instance that cannot be.
+    #[error("instance {instance}: {reason}")]
+    Instance {
+        /// Its number.
+        instance: usize,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// More than can be numbered.
+    #[error("{count} {what}; there can be {most} at most")]
+    TooMany {
+        /// Of what.
+        what: &'static str,
+        /// How many there are.
+        count: u64,
+        /// How many there could be.
+        most: u64,
+    },
+}
+
 /// A picture could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {

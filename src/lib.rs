@@ -28,6 +28,7 @@
 //! 1. [`access`]: recorded block accesses, and what they say about memory
 //! 1. [`octree`]: the lazy octree
 //! 1. [`trace`]: queries on streams of rays
+//! 1. [`instance`]: models that stand in many places
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
 //! 1. [`scene_file`]: scenes described in TOML files
@@ -50,6 +51,7 @@ pub mod error;
 pub mod free_memory;
 pub mod geom;
 pub mod import;
+pub mod instance;
 pub mod model;
 pub mod octree;
 pub mod procedural;

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use outcrop::MemoryBudget;
 use outcrop::error::SceneFileError;
-use outcrop::geom::Aabb;
+use outcrop::geom::{Aabb, Affine};
+use outcrop::instance::Instance;
 use outcrop::model::MaterialRecord;
 use outcrop::render::{AdaptiveSampling, Filter, PathEnd, RenderSettings};
 use outcrop::scene::{
@@ -42,8 +43,18 @@ fn every_documented_key_is_read() {
     std::fs::write(&path, everything()).unwrap();
     std::fs::write(folder.path().join("sky.hdr"), SKY).unwrap();
     let file = SceneFile::read(&path).unwrap();
-    assert_eq!(file.models.len(), 1);
-    assert_eq!(file.models[0].file, folder.path().join("models/ball.ply"));
+    let [ball, floor] = file.models.as_slice() else { panic!("{:?}", file.models) };
+    assert_eq!(ball.file, folder.path().join("models/ball.ply"));
+    let first = Affine::scale([2.0; 3])
+        .then(&Affine::rotation([0.0, 1.0, 0.0], 30.0))
+        .then(&Affine::rotation([1.0, 0.0, 0.0], 90.0))
+        .then(&Affine::translation([1.0, 0.0, -1.0]));
+    let second = Affine::from_rows([[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]);
+    assert_eq!(ball.places, [first, second]);
+    assert_eq!((&floor.file, floor.places.len()), (&folder.path().join("floor.obj"), 0));
+    let placed = |model, map| Instance { model, map };
+    let instances = vec![placed(0, first), placed(0, second), placed(1, Affine::IDENTITY)];
+    assert_eq!(file.instances(), Some(instances));
     assert_eq!(file.memory, Some(Bytes::mib(96)));
     assert_eq!(file.output, Some(folder.path().join("ball.exr")));
     let settings = RenderSettings {
@@ -115,6 +126,9 @@ fn what_is_left_out_is_chosen() {
     let budget = MemoryBudget::new(Bytes::mib(1));
     let file = parse(MODEL).unwrap();
     assert_eq!(file.models[0].file, Path::new("scenes/ball.ply"));
+    assert_eq!(file.instances(), None);
+    let each = parse(&format!("{MODEL}[[model.place]]\nscale = [1, 2, 3]\n")).unwrap();
+    assert_eq!(each.models[0].places, [Affine::scale([1.0, 2.0, 3.0])]);
     assert_eq!(
         (file.settings, file.memory, file.output.clone()),
         (RenderSettings::new(512, 512), None, None)
@@ -159,14 +173,17 @@ fn the_table_and_the_file_have_the_same_keys() {
                 .extend(first.split('`').skip(1).step_by(2).map(|key| (table.clone(), key.to_string())));
         }
     }
-    let alone = [("[camera]", "orthographic_height"), ("[environment]", "radiance")];
+    let alone =
+        [("[[model.place]]", "matrix"), ("[camera]", "orthographic_height"), ("[environment]", "radiance")];
     documented.retain(|(table, key)| !alone.contains(&(table, key)));
     let mut written = Vec::new();
     table.clear();
     for line in everything().lines() {
         if line.starts_with('[') {
             table = line.to_string();
-        } else if let Some((key, _)) = line.split_once(" =") {
+        } else if let Some((key, _)) = line.split_once(" =")
+            && !(key == "matrix" || written.contains(&(table.clone(), key.to_string())))
+        {
             written.push((table.clone(), key.to_string()));
         }
     }
@@ -204,7 +221,7 @@ fn misspelt_keys_are_errors_with_their_line() {
     }
     assert!(tried > 40, "{tried}");
     // Tables, too.
-    for table in ["[camera]", "[[light.disc]]", "[settings]", "[camera.lens]", "[environment]"] {
+    for table in ["[[light.disc]]", "[settings]", "[camera.lens]", "[environment]"] {
         let misspelt = everything().replace(table, &table.replace(']', "x]").replace("x]x]", "x]]"));
         let (line, _, reason) = refused(&misspelt);
         assert!(line > 1 && reason.contains("unknown field"), "{table}: {line}: {reason}");
@@ -215,6 +232,17 @@ fn misspelt_keys_are_errors_with_their_line() {
 fn senseless_values_are_errors_with_line_and_key() {
     let line_of = |text: &str, part: &str| 1 + text[..text.find(part).unwrap()].matches('\n').count() as u64;
     let cases = [
+        ("scale = 2", "scale = 0", "[[model.place]]", "model[0].place[0]"),
+        ("scale = 2", "scale = [1, 2]", "scale", "model[0].place[0].scale"),
+        ("axis = [1, 0, 0]", "axis = [0, 0, 0]", "[[model.place]]", "model[0].place[0]"),
+        ("translate = [1", "translate = [inf", "[[model.place]]", "model[0].place[0]"),
+        (
+            "scale = 2",
+            "matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]",
+            "[[model.place]]",
+            "model[0].place[0]",
+        ),
+        ("degrees = 90", "degree = 90", "rotate", "model[0].place[0].rotate[1].degree"),
         ("look_at = [0, 0, 0]", "look_at = [0, 1, 5]", "[camera]", "camera"),
         ("fov_degrees = 40", "fov_degrees = 180", "[camera]", "camera"),
         ("fov_degrees = 40", "fov_degrees = 40\northographic_height = 2", "[camera]", "camera"),

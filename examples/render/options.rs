@@ -82,6 +82,7 @@ pub enum SourceKind {
     Memory,
 }
 
+#[derive(Clone)]
 pub struct Options {
     /// What is said in a scene file, if one was given.
     pub scene: Option<SceneFile>,
@@ -277,14 +278,31 @@ impl Options {
             )
             .into());
         }
-        let [model] = scene.models.as_slice() else {
-            return Err(format!("{}: one model at a time", path.display()).into());
-        };
-        self.model = Some(model.file.clone());
+        if scene.instances().is_some() {
+            self.refuse_for_instances(&path)?;
+        }
+        // There is one at least.
+        self.model = scene.models.first().map(|model| model.file.clone());
         self.settings = scene.settings;
         self.memory = scene.memory.unwrap_or(self.memory);
         self.scene = Some(scene);
         Ok(())
+    }
+
+    /// What is for one model only.
+    fn refuse_for_instances(&self, path: &Path) -> Result<(), Box<dyn Error>> {
+        let given = [
+            (self.compiled.is_some(), "--compiled"),
+            (self.compile_only, "--compile-only"),
+            (self.record_accesses.is_some(), "--record-accesses"),
+        ];
+        match given.into_iter().find(|(is_given, _)| *is_given) {
+            Some((_, option)) => {
+                Err(format!("{option}: not for scenes of several models or places as {}", path.display())
+                    .into())
+            }
+            None => Ok(()),
+        }
     }
 
     /// What the gears are shown with where the command line leaves it open: their standard view.

@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 
 use super::document::{
-    CameraTable, Document, EnvironmentTable, FinishTable, LightTables, ModelTable, SettingsTable,
+    CameraTable, Document, EnvironmentTable, FinishTable, LightTables, ModelTable, PlaceTable, RotateTable,
+    Scale, SettingsTable,
 };
 use super::read::{Lighting, Refused, SceneFile, SceneModel, Surroundings};
+use crate::geom::Affine;
 use crate::render::{AdaptiveSampling, ImageFormat, RenderSettings};
 use crate::scene::{Camera, Environment, Falloff, Finish, Lens, Light, LightShape, Projection};
 use crate::units::Bytes;
@@ -26,14 +28,15 @@ pub(super) fn check(document: &Document, folder: &Path) -> Checked<SceneFile> {
         let reason = "there is none; add `[[model]]` with `file = \"...\"`".to_string();
         return Err(Refused { at: 0..0, key: "model".to_string(), reason });
     }
-    let models = document.model.iter().map(|table| model(table.get_ref(), folder)).collect();
+    let models = document.model.iter().enumerate();
+    let models = models.map(|(index, table)| model(index, table.get_ref(), folder));
     let finishes = document.finish.iter().map(|(name, table)| finish(name, table));
     let (settings, memory, output) = match &document.settings {
         Some(table) => settings(table, folder)?,
         None => (RenderSettings::new(SIDE, SIDE), None, None),
     };
     Ok(SceneFile {
-        models,
+        models: models.collect::<Checked<_>>()?,
         settings,
         memory,
         output,
@@ -44,8 +47,38 @@ pub(super) fn check(document: &Document, folder: &Path) -> Checked<SceneFile> {
     })
 }
 
-fn model(table: &ModelTable, folder: &Path) -> SceneModel {
-    SceneModel { file: folder.join(&table.file) }
+fn model(index: usize, table: &ModelTable, folder: &Path) -> Checked<SceneModel> {
+    let places = table.place.iter().enumerate();
+    let places = places.map(|(number, table)| place(table, format!("model[{index}].place[{number}]")));
+    Ok(SceneModel { file: folder.join(&table.file), places: places.collect::<Checked<_>>()? })
+}
+
+fn place(table: &Spanned<PlaceTable>, key: String) -> Checked<Affine> {
+    let PlaceTable { scale, rotate, translate, matrix } = table.get_ref();
+    let map = match matrix {
+        Some(rows) if scale.is_none() && rotate.is_empty() && translate.is_none() => Affine::from_rows(*rows),
+        Some(_) => {
+            let reason = "has a `matrix` beside `scale`, `rotate` or `translate`; leave one or the other out";
+            return Err(Refused::new(table, key, reason));
+        }
+        None => {
+            let factors = match scale {
+                None => [1.0; 3],
+                Some(Scale::All(factor)) => [*factor; 3],
+                Some(Scale::Each(factors)) => *factors,
+            };
+            let mut map = Affine::scale(factors);
+            for RotateTable { axis, degrees } in rotate {
+                if axis.iter().all(|x| *x == 0.0) {
+                    return Err(Refused::new(table, key, "the axis of a rotation is zero"));
+                }
+                map = map.then(&Affine::rotation(*axis, *degrees));
+            }
+            map.then(&Affine::translation(translate.unwrap_or([0.0; 3])))
+        }
+    };
+    map.validate().map_err(|reason| Refused::new(table, key, reason))?;
+    Ok(map)
 }
 
 fn finish(material: &str, table: &Spanned<FinishTable>) -> Checked<(String, Finish)> {

@@ -31,6 +31,33 @@ pub(super) struct Document {
 #[serde(deny_unknown_fields)]
 pub(super) struct ModelTable {
     pub file: PathBuf,
+    #[serde(default)]
+    pub place: Vec<Spanned<PlaceTable>>,
+}
+
+/// Scaled, then turned, then moved; or by a matrix.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlaceTable {
+    pub scale: Option<Scale>,
+    #[serde(default)]
+    pub rotate: Vec<RotateTable>,
+    pub translate: Option<[f64; 3]>,
+    pub matrix: Option<[[f64; 4]; 3]>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(untagged, expecting = "a number, or three")]
+pub(super) enum Scale {
+    All(f64),
+    Each([f64; 3]),
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RotateTable {
+    pub axis: [f64; 3],
+    pub degrees: f64,
 }
 
 #[derive(Debug, Deserialize)]

@@ -12,7 +12,8 @@ use super::check;
 use super::document::Document;
 use crate::budget::MemoryBudget;
 use crate::error::{RenderError, SceneFileError};
-use crate::geom::Aabb;
+use crate::geom::{Aabb, Affine};
+use crate::instance::Instance;
 use crate::render::RenderSettings;
 use crate::scene::{Camera, Environment, EnvironmentImage, Finish, Light, Scene};
 use crate::units::Bytes;
@@ -42,6 +43,8 @@ pub struct SceneFile {
 pub struct SceneModel {
     /// The model file or compiled file. A relative path is relative to the scene file.
     pub file: PathBuf,
+    /// Where it stands; if empty, once and as it is.
+    pub places: Vec<Affine>,
 }
 
 /// What the file says about light.
@@ -90,6 +93,22 @@ impl SceneFile {
         let text = Text { text, path };
         let document = text.document()?;
         check::check(&document, path.parent().unwrap_or(Path::new(""))).map_err(|refused| text.error(refused))
+    }
+
+    /// Where the models stand, numbered as they are; `None` for one model as it is, which needs no instances.
+    pub fn instances(&self) -> Option<Vec<Instance>> {
+        if let [SceneModel { places, .. }] = self.models.as_slice()
+            && places.is_empty()
+        {
+            return None;
+        }
+        let mut instances = Vec::new();
+        for (number, model) in (0u32..).zip(&self.models) {
+            let as_it_is = if model.places.is_empty() { &[Affine::IDENTITY][..] } else { &[] };
+            let maps = as_it_is.iter().chain(&model.places);
+            instances.extend(maps.map(|map| Instance { model: number, map: *map }));
+        }
+        Some(instances)
     }
 
     /// The scene over models that fill `bounds`, in a picture of the settings' shape. Reads the picture of the environment, if there is

@@ -89,7 +89,9 @@ impl Header {
         let size = match words[..] {
             ["-Y", height, "+X", width] => width.parse().ok().zip(height.parse().ok()),
             _ => {
-                return Err(format!("`{text}`: only pictures that run right and down (-Y .. +X ..) are read"));
+                return Err(format!(
+                    "`{text}`: only pictures that run right and down (-Y .. +X ..) are read"
+                ));
             }
         };
         let (width, height) = size.ok_or_else(|| format!("`{text}` is not a size"))?;
