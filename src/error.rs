@@ -425,6 +425,40 @@ pub enum TraceError {
     },
 }
 
+/// Instances could not be placed.
+#[derive(Debug, thiserror::Error)]
+pub enum InstanceError {
+    /// A model could not be opened.
+    #[error("model {model}: {error}")]
+    Model {
+        /// Its number.
+        model: usize,
+        /// The cause.
+        error: TraceError,
+    },
+    /// The budget has no room for what is known of the instances.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+    /// An instance that cannot be.
+    #[error("instance {instance}: {reason}")]
+    Instance {
+        /// Its number.
+        instance: usize,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// More than can be numbered.
+    #[error("{count} {what}; there can be {most} at most")]
+    TooMany {
+        /// Of what.
+        what: &'static str,
+        /// How many there are.
+        count: u64,
+        /// How many there could be.
+        most: u64,
+    },
+}
+
 /// A picture could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
@@ -461,6 +495,44 @@ pub enum RenderError {
     /// The caller asked to stop.
     #[error("the render was cancelled")]
     Cancelled,
+}
+
+/// A scene file could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneFileError {
+    /// The operating system failed.
+    #[error("cannot read {}: {error}", path.display())]
+    Io {
+        /// The scene file.
+        path: PathBuf,
+        /// The cause.
+        error: io::Error,
+    },
+    /// It is no text, or longer than any scene file.
+    #[error("{}: {reason}", path.display())]
+    Text {
+        /// The scene file.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// A part of it is not TOML, is not known, or makes no sense.
+    #[error("{}:{line}: {}{reason}", path.display(), named(key))]
+    Key {
+        /// The scene file.
+        path: PathBuf,
+        /// Counted from 1: where the key's value or its table begins.
+        line: u64,
+        /// The key with its tables, as in `light.spot[2].radius`; empty if the text is no TOML.
+        key: String,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+}
+
+/// A key before what is wrong with it.
+fn named(key: &str) -> String {
+    if key.is_empty() { String::new() } else { format!("`{key}`: ") }
 }
 
 /// A frame could not be sent or received, or a connection not be made.

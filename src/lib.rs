@@ -28,8 +28,10 @@
 //! 1. [`access`]: recorded block accesses, and what they say about memory
 //! 1. [`octree`]: the lazy octree
 //! 1. [`trace`]: queries on streams of rays
+//! 1. [`instance`]: models that stand in many places
 //! 1. [`scene`]: camera, lights, the effects that a scene calls for
 //! 1. [`render`]: shading, tiles, images
+//! 1. [`scene_file`]: scenes described in TOML files
 //! 1. [`schedule`]: which worker renders which tile; no threads, no clock, no sockets
 //! 1. [`transport`]: frames between nodes
 //! 1. [`cluster`]: coordinator, workers, readers
@@ -49,11 +51,13 @@ pub mod error;
 pub mod free_memory;
 pub mod geom;
 pub mod import;
+pub mod instance;
 pub mod model;
 pub mod octree;
 pub mod procedural;
 pub mod render;
 pub mod scene;
+pub mod scene_file;
 pub mod schedule;
 pub mod simd;
 pub mod source;

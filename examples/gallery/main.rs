@@ -2,6 +2,7 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod instances;
 mod mesh;
 mod page;
 mod scenes;
@@ -13,6 +14,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use common::arguments::{self, Arguments};
+use instances::Making;
 use outcrop::octree::OctreeOptions;
 use outcrop::render::{Control, PathEnd, RenderSettings, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Effect, EffectSet};
@@ -78,6 +80,21 @@ fn run(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
         found = true;
         make(&options, entry, &budget, &mut page)?;
     }
+    let making = Making {
+        folder: &options.output,
+        size: if options.quick { [32, 24] } else { options.size },
+        quick: options.quick,
+        threads: options.threads,
+        budget: &budget,
+    };
+    let pictures: [(&str, Picture); 2] =
+        [("instances", instances::forest), ("moving-instances", instances::moving)];
+    for (name, picture) in pictures {
+        if options.only.as_ref().is_none_or(|only| only == name) {
+            found = true;
+            picture(&making, page.more())?;
+        }
+    }
     if !found {
         return Err(format!("--only {}: there is no such picture", options.only.unwrap_or_default()).into());
     }
@@ -86,6 +103,9 @@ fn run(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
     }
     Ok(ExitCode::SUCCESS)
 }
+
+/// Makes pictures that are not of one mesh, and writes about them.
+type Picture = fn(&Making<'_>, &mut String) -> Result<(), Box<dyn Error>>;
 
 fn make(
     options: &Options,
@@ -136,10 +156,7 @@ fn is_lucky(
     settings: &RenderSettings,
     budget: &MemoryBudget,
 ) -> Result<bool, Box<dyn Error>> {
-    use Effect::*;
-    let renderer = Renderer::new(octree, &entry.scene, settings, budget)?;
-    let lucky = [AreaLight, EnvironmentLight, GlossyReflection, RoughRefraction, Interreflection];
-    Ok(lucky.into_iter().any(|effect| renderer.plan().has(effect)))
+    Ok(Renderer::new(octree, &entry.scene, settings, budget)?.plan().has_sampled_effects())
 }
 
 fn render(

@@ -79,11 +79,17 @@ impl Page {
         }
     }
 
+    /// Where what follows the pictures is written.
+    pub fn more(&mut self) -> &mut String {
+        &mut self.pictures
+    }
+
     pub fn text(&self) -> String {
         let mut text = String::from(
             "# Gallery\n\n\
              Made by `cargo run --release --example gallery`, pictures, plans and figures alike. Each scene is built in code in\n\
-             [`examples/gallery/scenes.rs`](../../examples/gallery/scenes.rs) and [`surfaces.rs`](../../examples/gallery/surfaces.rs).\n\n",
+             [`examples/gallery/scenes.rs`](../../examples/gallery/scenes.rs), [`surfaces.rs`](../../examples/gallery/surfaces.rs) and\n\
+             [`instances.rs`](../../examples/gallery/instances.rs).\n\n",
         );
         if !self.rows.is_empty() {
             text.push_str(

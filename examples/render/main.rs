@@ -1,8 +1,9 @@
-//! Renders a model file, a compiled file or, with no argument, procedural gears, inside a memory budget.
+//! Renders a scene file, a model file, a compiled file or, with no argument, procedural gears, inside a memory budget.
 
 #[path = "../common/mod.rs"]
 mod common;
 mod compiled;
+mod instanced;
 mod options;
 mod summary;
 
@@ -18,14 +19,14 @@ use common::gears_view;
 use common::interrupt::Interrupt;
 use common::memory_log::MemoryLog;
 use common::progress::Meter;
-use compiled::Origin;
+use compiled::{Compiled, Origin};
 use options::{Command, Options, SourceKind};
 use outcrop::access::{AccessTrace, MissRatioCurve};
 use outcrop::compile::Control;
 use outcrop::free_memory::FollowFreeMemory;
-use outcrop::model::Model;
+use outcrop::model::{MaterialRecord, Model};
 use outcrop::octree::{LazyOctree, OctreeOptions, TreeQuality};
-use outcrop::render::{Outcome, RenderSettings, RenderedImage, Renderer, Threads};
+use outcrop::render::{Outcome, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, GltfView, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
 use outcrop::texture::Textures;
@@ -77,6 +78,15 @@ fn job(
     summary: &mut Summary,
 ) -> Result<ExitCode, Box<dyn Error>> {
     let mut meter = Meter::new();
+    if let Some(file) = &options.scene
+        && let Some(places) = file.instances()
+    {
+        let (image, models) =
+            instanced::picture(options, file, places, budget, interrupt, &mut meter, summary)?;
+        meter.finish();
+        models.iter().try_for_each(|model| keep_lazy(model, summary))?;
+        return finish(options, &image, summary);
+    }
     let compiled = compiled::prepare(options, budget, interrupt, &mut meter)?;
     meter.finish();
     summary.compiled(&compiled);
@@ -90,13 +100,28 @@ fn job(
     };
     let image = render(options, source, budget, interrupt, &mut meter, summary)?;
     meter.finish();
+    keep_lazy(&compiled, summary)?;
+    finish(options, &image, summary)
+}
+
+/// Seals a model that was compiled as rays reached it, if that is all of it.
+fn keep_lazy(compiled: &Compiled, summary: &mut Summary) -> Result<(), Box<dyn Error>> {
     if let Origin::Lazy(model) = &compiled.origin {
         let is_whole = model.is_complete() && !model.report().details_left_out;
         let report = is_whole.then(|| model.finish(&mut |_| Control::Continue)).transpose()?;
         summary.lazy(&model.report(), report.map(|_| model.output()));
     }
+    Ok(())
+}
+
+/// Writes the picture.
+fn finish(
+    options: &Options,
+    image: &RenderedImage,
+    summary: &mut Summary,
+) -> Result<ExitCode, Box<dyn Error>> {
     image.film.write(&options.output)?;
-    summary.rendered(&image, &options.output);
+    summary.rendered(image, &options.output);
     Ok(match image.report.outcome {
         Outcome::Complete => ExitCode::SUCCESS,
         Outcome::Cancelled => ExitCode::from(Interrupt::EXIT_CODE),
@@ -126,26 +151,16 @@ fn render(
     meter: &mut Meter,
     summary: &mut Summary,
 ) -> Result<RenderedImage, Box<dyn Error>> {
-    let settings = settings(options);
+    let settings = options.settings;
     let threads = Threads::Count(options.threads as usize);
-    let scene = with_textures(scene(options, source.model())?, options, source.model(), budget)?;
+    let mut scene = scene(options, source.model(), budget)?;
+    if let Some(model) = &options.model {
+        scene = with_textures(scene, &source.model().materials, model, budget)?;
+    }
     // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
     let set_aside = budget.reserve(picture_bytes, "the picture")?;
-    let mut octree = LazyOctree::open(
-        source,
-        budget,
-        OctreeOptions {
-            tracers_max: options.threads,
-            simd: options.simd,
-            tier: options.tier,
-            quality: options.quality.unwrap_or(quality),
-            leaf_layout: options.leaf_layout,
-            slots_max: options.slots_max,
-            policy: options.policy,
-            follow_free_memory: options.keep_free.map(|keep_free| FollowFreeMemory { keep_free }),
-        },
-    )?;
+    let mut octree = LazyOctree::open(source, budget, octree_options(options, quality))?;
     drop(set_aside);
     let recording = match &options.record_accesses {
         Some(path) => Some((path, octree.record_accesses(Box::new(BufWriter::new(create(path)?)))?)),
@@ -153,11 +168,7 @@ fn render(
     };
     summary.opened(&octree, picture_bytes);
     let renderer = Renderer::new(&octree, &scene, &settings, budget)?;
-    let mut progress = |progress: outcrop::render::Progress| {
-        meter.set("rendering", progress.samples as f64 / progress.samples_total as f64);
-        if interrupt.is_requested() { Control::Cancel } else { Control::Continue }
-    };
-    let image = renderer.render(&threads, &mut progress)?;
+    let image = renderer.render(&threads, &mut progress_of(meter, interrupt))?;
     if let Some((path, recorder)) = recording {
         recorder.finish()?;
         meter.finish();
@@ -166,34 +177,47 @@ fn render(
     Ok(image)
 }
 
-/// The scene with the pictures that the model's materials name, if any; they are converted once, beside the compiled file.
+fn octree_options(options: &Options, quality: TreeQuality) -> OctreeOptions {
+    OctreeOptions {
+        tracers_max: options.threads,
+        simd: options.simd,
+        tier: options.tier,
+        quality: options.quality.unwrap_or(quality),
+        leaf_layout: options.leaf_layout,
+        slots_max: options.slots_max,
+        policy: options.policy,
+        follow_free_memory: options.keep_free.map(|keep_free| FollowFreeMemory { keep_free }),
+    }
+}
+
+fn progress_of<'m>(
+    meter: &'m mut Meter,
+    interrupt: &'m Interrupt,
+) -> impl FnMut(outcrop::render::Progress) -> Control + Send + 'm {
+    |progress| {
+        meter.set("rendering", progress.samples as f64 / progress.samples_total as f64);
+        if interrupt.is_requested() { Control::Cancel } else { Control::Continue }
+    }
+}
+
+/// The scene with the pictures that a model's materials name, if any; they are converted once, beside the compiled file.
 fn with_textures(
     scene: Scene,
-    options: &Options,
-    model: &Model,
+    materials: &[MaterialRecord],
+    model: &Path,
     budget: &MemoryBudget,
 ) -> Result<Scene, Box<dyn Error>> {
-    let Some(path) = options.model.as_ref().filter(|_| !Textures::named_by(&model.materials).is_empty())
-    else {
+    if Textures::named_by(materials).is_empty() {
         return Ok(scene);
-    };
-    let mut tiles = compiled::beside(path).into_os_string();
+    }
+    let mut tiles = compiled::beside(model).into_os_string();
     tiles.push(".tiles");
-    let folder = path.parent().unwrap_or(Path::new(""));
-    Ok(scene.with_textures(Textures::open(&model.materials, folder, Path::new(&tiles), budget)?))
+    let folder = model.parent().unwrap_or(Path::new(""));
+    Ok(scene.with_textures(Textures::open(materials, folder, Path::new(&tiles), budget)?))
 }
 
 fn create(path: &Path) -> Result<File, String> {
     File::create(path).map_err(|error| format!("cannot write {}: {error}", path.display()))
-}
-
-fn settings(options: &Options) -> RenderSettings {
-    let mut settings = RenderSettings::new(options.size[0], options.size[1]);
-    settings.samples_per_pixel = options.samples_per_pixel;
-    if let Some(bound) = options.contribution_bound {
-        settings.contribution_bound = bound;
-    }
-    settings
 }
 
 /// The cameras and lights of the model file, if it is one that has them.
@@ -209,8 +233,14 @@ fn file_view(options: &Options) -> Result<GltfView, Box<dyn Error>> {
 }
 
 /// The scene that the options describe; what they leave out is chosen to fit the model.
-fn scene(options: &Options, model: &Model) -> Result<Scene, Box<dyn Error>> {
-    let aspect = f64::from(options.size[0]) / f64::from(options.size[1]);
+fn scene(options: &Options, model: &Model, budget: &MemoryBudget) -> Result<Scene, Box<dyn Error>> {
+    if let Some(file) = &options.scene {
+        // In the shape of the picture that is made.
+        let mut file = file.clone();
+        file.settings = options.settings;
+        return Ok(file.scene(&model.bounds, budget)?);
+    }
+    let aspect = f64::from(options.settings.width) / f64::from(options.settings.height);
     let up = options.up;
     let framing = match up {
         Some(up) => Camera::framing_with_up(&model.bounds, up, aspect),

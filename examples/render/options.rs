@@ -9,7 +9,8 @@ use outcrop::cache::Policy;
 use outcrop::compile::PrecisionChoice;
 use outcrop::octree::{LeafLayout, Tier, TreeQuality};
 use outcrop::procedural::Gears;
-use outcrop::render::ImageFormat;
+use outcrop::render::{ImageFormat, RenderSettings};
+use outcrop::scene_file::SceneFile;
 use outcrop::simd::SimdLevel;
 use outcrop::units::Bytes;
 
@@ -21,6 +22,7 @@ render: makes a picture of a model inside a memory budget
 
     cargo run --release --example render                      procedural gears, 1.7 million triangles, in 64 MiB
     cargo run --release --example render -- MODEL [OPTION]... .obj, .ply, .stl (each also .gz), .gltf, .glb or a compiled .outcrop
+    cargo run --release --example render -- SCENE.toml [OPTION]...   a scene (docs/scene-file.md)
     cargo run --release --example render -- MODEL --compile-only [-o FILE.outcrop]
 
 Without a MODEL, gears are made in code and go straight into the compiler, however many they are.
@@ -80,15 +82,17 @@ pub enum SourceKind {
     Memory,
 }
 
+#[derive(Clone)]
 pub struct Options {
+    /// What is said in a scene file, if one was given.
+    pub scene: Option<SceneFile>,
     /// A model file or a compiled file; the gears if not given.
     pub model: Option<PathBuf>,
     /// Wheels per edge of those.
     pub gears_n: Option<u32>,
     /// The picture.
     pub output: PathBuf,
-    pub size: [u32; 2],
-    pub samples_per_pixel: u32,
+    pub settings: RenderSettings,
     pub eye: Option<[f64; 3]>,
     pub look_at: Option<[f64; 3]>,
     pub up: Option<[f64; 3]>,
@@ -96,7 +100,6 @@ pub struct Options {
     pub orthographic: Option<f64>,
     /// Position and intensity.
     pub lights: Vec<([f64; 3], f32)>,
-    pub contribution_bound: Option<f64>,
     pub memory: Bytes,
     pub threads: u32,
     pub source: SourceKind,
@@ -119,6 +122,16 @@ pub struct Options {
     pub memory_log: Option<PathBuf>,
 }
 
+/// What the command line says that counts before what a scene file says.
+#[derive(Default)]
+struct Given {
+    output: Option<PathBuf>,
+    size: Option<[u32; 2]>,
+    samples: Option<u32>,
+    contribution_bound: Option<f64>,
+    memory: Option<Bytes>,
+}
+
 impl Options {
     /// Whether a compiled file is asked for that may not be there although one is.
     pub fn asks_to_compile(&self) -> bool {
@@ -133,23 +146,22 @@ impl Options {
 
     pub fn parse(mut arguments: Arguments) -> Result<Command, Box<dyn Error>> {
         let mut options = Options::default();
-        let mut output = None;
-        let (mut size, mut memory) = (None, None);
+        let mut given = Given::default();
         while let Some(name) = arguments.option_or_model(&mut options.model)? {
             match name.as_str() {
                 "-h" | "--help" => return Ok(Command::Help),
-                "-o" | "--output" => output = Some(arguments.path()?),
-                "--size" => size = Some(arguments.size()?),
+                "-o" | "--output" => given.output = Some(arguments.path()?),
+                "--size" => given.size = Some(arguments.size()?),
                 "--gears" => options.gears_n = Some(arguments.value()?),
-                "--spp" => options.samples_per_pixel = arguments.value()?,
+                "--spp" => given.samples = Some(arguments.value()?),
                 "--eye" => options.eye = Some(arguments.numbers()?),
                 "--look-at" => options.look_at = Some(arguments.numbers()?),
                 "--up" => options.up = Some(arguments.numbers()?),
                 "--fov" => options.fov = Some(arguments.value()?),
                 "--orthographic" => options.orthographic = Some(arguments.value()?),
                 "--light" => options.lights.push(light(&mut arguments)?),
-                "--depth-bound" => options.contribution_bound = Some(arguments.value()?),
-                "--memory" => memory = Some(arguments.value()?),
+                "--depth-bound" => given.contribution_bound = Some(arguments.value()?),
+                "--memory" => given.memory = Some(arguments.value()?),
                 "--threads" => options.threads = arguments.value()?,
                 "--source" => {
                     let kinds = [
@@ -211,17 +223,12 @@ impl Options {
                 _ => return Err(arguments.unknown()),
             }
         }
-        options.finish(output, size, memory)?;
+        options.finish(given)?;
         Ok(Command::Run(Box::new(options)))
     }
 
     /// Fills in what depends on several options, and checks what can be checked before any work.
-    fn finish(
-        &mut self,
-        output: Option<PathBuf>,
-        size: Option<[u32; 2]>,
-        memory: Option<Bytes>,
-    ) -> Result<(), Box<dyn Error>> {
+    fn finish(&mut self, given: Given) -> Result<(), Box<dyn Error>> {
         if self.threads == 0 {
             return Err("--threads 0: at least one is needed".into());
         }
@@ -230,23 +237,78 @@ impl Options {
         } else if self.gears_n.is_some() {
             return Err("--gears: only without a MODEL".into());
         }
-        self.size = size.unwrap_or(self.size);
-        self.memory = memory.unwrap_or(self.memory);
+        let file = self.model.clone();
+        if file.as_deref().and_then(Path::extension).is_some_and(|kind| kind == "toml") {
+            self.read_scene()?;
+        }
+        if let Some([width, height]) = given.size {
+            (self.settings.width, self.settings.height) = (width, height);
+        }
+        self.settings.samples_per_pixel = given.samples.unwrap_or(self.settings.samples_per_pixel);
+        let bound = given.contribution_bound;
+        self.settings.contribution_bound = bound.unwrap_or(self.settings.contribution_bound);
+        self.memory = given.memory.unwrap_or(self.memory);
         if self.compile_only {
-            self.compiled = output.or(self.compiled.take());
+            self.compiled = given.output.or(self.compiled.take());
             return Ok(());
         }
-        self.output = output.unwrap_or_else(|| match self.model.as_deref().and_then(Path::file_stem) {
-            Some(stem) => Path::new(stem).with_extension("png"),
-            None => PathBuf::from("gears.png"),
-        });
+        let of_scene = self.scene.as_ref().and_then(|scene| scene.output.clone());
+        self.output =
+            given.output.or(of_scene).unwrap_or_else(|| match file.as_deref().and_then(Path::file_stem) {
+                Some(stem) => Path::new(stem).with_extension("png"),
+                None => PathBuf::from("gears.png"),
+            });
         ImageFormat::of_path(&self.output)?;
         Ok(())
     }
 
+    /// Takes a scene file, which stands where the model would, for what it says.
+    fn read_scene(&mut self) -> Result<(), Box<dyn Error>> {
+        let Some(path) = self.model.take() else { return Ok(()) };
+        let scene = SceneFile::read(&path)?;
+        let has_view = self.eye.is_some()
+            || self.look_at.is_some()
+            || self.up.is_some()
+            || self.fov.is_some()
+            || self.orthographic.is_some();
+        if has_view || !self.lights.is_empty() {
+            return Err(format!(
+                "{}: camera and lights are the scene file's; change them there",
+                path.display()
+            )
+            .into());
+        }
+        if scene.instances().is_some() {
+            self.refuse_for_instances(&path)?;
+        }
+        // There is one at least.
+        self.model = scene.models.first().map(|model| model.file.clone());
+        self.settings = scene.settings;
+        self.memory = scene.memory.unwrap_or(self.memory);
+        self.scene = Some(scene);
+        Ok(())
+    }
+
+    /// What is for one model only.
+    fn refuse_for_instances(&self, path: &Path) -> Result<(), Box<dyn Error>> {
+        let given = [
+            (self.compiled.is_some(), "--compiled"),
+            (self.compile_only, "--compile-only"),
+            (self.record_accesses.is_some(), "--record-accesses"),
+        ];
+        match given.into_iter().find(|(is_given, _)| *is_given) {
+            Some((_, option)) => {
+                Err(format!("{option}: not for scenes of several models or places as {}", path.display())
+                    .into())
+            }
+            None => Ok(()),
+        }
+    }
+
     /// What the gears are shown with where the command line leaves it open: their standard view.
     fn show_gears(&mut self) {
-        (self.size, self.memory) = ([768, 768], Bytes::mib(64));
+        (self.settings.width, self.settings.height) = (768, 768);
+        self.memory = Bytes::mib(64);
         self.eye.get_or_insert(Gears::EYE);
         self.look_at.get_or_insert(gears_view::LOOK_AT);
         self.up.get_or_insert(gears_view::UP);
@@ -259,18 +321,17 @@ impl Options {
 impl Default for Options {
     fn default() -> Options {
         Options {
+            scene: None,
             model: None,
             gears_n: None,
             output: PathBuf::new(),
-            size: [512, 512],
-            samples_per_pixel: 1,
+            settings: RenderSettings::new(512, 512),
             eye: None,
             look_at: None,
             up: None,
             fov: None,
             orthographic: None,
             lights: Vec::new(),
-            contribution_bound: None,
             memory: Bytes::mib(256),
             threads: thread::available_parallelism().map_or(1, |count| count.get() as u32),
             source: SourceKind::Disk,

@@ -6,6 +6,7 @@ use std::path::Path;
 use outcrop::MemoryBudget;
 use outcrop::access::MissRatioCurve;
 use outcrop::compile::{CompileReport, LazyReport, PhaseSeconds, Seconds};
+use outcrop::instance::Instances;
 use outcrop::octree::LazyOctree;
 use outcrop::render::{Outcome, RenderReport, RenderedImage};
 use outcrop::units::Bytes;
@@ -128,6 +129,21 @@ impl Summary {
             "slot_bytes": octree.cache().slot_bytes().0,
             "blocks": blocks,
         });
+    }
+
+    /// [`Summary::opened`] for instances.
+    pub fn placed(&mut self, instances: &Instances, picture_bytes: Bytes) {
+        let octrees = instances.octrees();
+        let cached =
+            |octree: &LazyOctree| u64::from(octree.cache().slot_count()) * octree.cache().slot_bytes().0;
+        let cache_bytes = Bytes(octrees.iter().map(cached).sum());
+        println!(
+            "memory    {cache_bytes} for the blocks of {}, {picture_bytes} for the picture",
+            counted(octrees.len() as u64, "model"),
+        );
+        println!("instances {}", grouped(instances.instances().len() as u64));
+        self.stats["instances"] = json!(instances.instances().len());
+        self.stats["cache"] = json!({ "bytes": cache_bytes.0, "models": octrees.len() });
     }
 
     /// How much memory the view needs, by a recorded trace.

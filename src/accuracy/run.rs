@@ -16,13 +16,13 @@ use crate::compile::{Control, Threads};
 use crate::error::RenderError;
 use crate::model::Model;
 use crate::octree::Tier;
-use crate::render::SceneTracer;
 use crate::render::probe::Probe;
 use crate::render::{
     AdaptiveSampling, Film, Outcome, Progress, RenderSettings, RenderedImage, Renderer, normal_quantile,
     resample, worker_count,
 };
-use crate::scene::{Effect, EffectPlan, Scene};
+use crate::render::{Kept, SceneTracer};
+use crate::scene::{EffectPlan, Scene};
 use crate::units::{Bytes, TileId};
 
 /// Pixels that a probe looks at, at most one in [`PROBE_SHARE`].
@@ -107,7 +107,7 @@ pub fn bytes_needed(
     };
     let render = Renderer::bytes_needed(scene, model, &most, threads)?;
     // While a further picture is made, the best so far is kept.
-    let film = Film::bytes_needed(&most.grid(), true);
+    let film = Film::bytes_needed(&most.grid(), Kept { statistics: true, costs: most.keep_costs });
     let probe = Renderer::probe_bytes(scene, model, &most, PROBE_PIXELS)?;
     // While one renderer is there for its probe, others come and go.
     let details = Renderer::detail_bytes(scene, model, &most, worker_count(threads) as u32)?;
@@ -585,16 +585,8 @@ impl Job<'_, '_> {
 
     /// Whether any effect chooses its rays by luck.
     fn has_sampled_effects(&self) -> bool {
-        let plan = EffectPlan::scan(self.scene, self.octree.model(), &self.settings.effect_options());
-        [
-            Effect::AreaLight,
-            Effect::EnvironmentLight,
-            Effect::GlossyReflection,
-            Effect::RoughRefraction,
-            Effect::Interreflection,
-        ]
-        .iter()
-        .any(|effect| plan.has(*effect))
+        EffectPlan::scan(self.scene, self.octree.model(), &self.settings.effect_options())
+            .has_sampled_effects()
     }
 
     /// The mean square error that samples show: the picture's own, or further ones where these had a say in stopping.

@@ -2,6 +2,7 @@
 //! that hold the only epsilons, exact predicates, and the global lattice.
 
 mod aabb;
+mod affine;
 mod bounds;
 mod crossing;
 mod degenerate;
@@ -19,6 +20,7 @@ mod triangle;
 mod triangle_exact;
 
 pub use aabb::Aabb;
+pub use affine::Affine;
 pub use bounds::HitErrorBounds;
 pub use crossing::Sense;
 pub use degenerate::is_degenerate;

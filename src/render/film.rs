@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use super::image;
+use super::settings::RenderSettings;
 use super::tiles::TileGrid;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::{BudgetError, RenderError};
+use crate::stats::TraceCounters;
 use crate::units::Bytes;
 
 /// What the samples of a pixel say about its error; see [`RenderSettings::keep_statistics`](super::RenderSettings::keep_statistics).
@@ -30,6 +32,39 @@ impl PixelStatistics {
         PixelStatistics { samples: 0, deviation: f32::INFINITY, half_difference: [0.0; 3], lost: 0.0 };
 }
 
+/// What tracing the samples of a pixel took, all its rays together: tests of what was looked at, whatever was in memory. At most `u32::MAX` is
+/// counted. See [`RenderSettings::keep_costs`](super::RenderSettings::keep_costs).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PixelCost {
+    /// Nodes visited, one 8-wide box test each ([`TraceCounters::box_tests`](crate::stats::TraceCounters::box_tests)).
+    pub box_tests: u32,
+    /// Triangles given to the reject test ([`TraceCounters::triangle_tests`](crate::stats::TraceCounters::triangle_tests)).
+    pub triangle_tests: u32,
+}
+
+impl PixelCost {
+    /// Adds what happened between two looks at the same counters.
+    pub(crate) fn add(&mut self, before: &TraceCounters, after: &TraceCounters) {
+        let add =
+            |sum: &mut u32, count: u64| *sum = sum.saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
+        add(&mut self.box_tests, after.box_tests - before.box_tests);
+        add(&mut self.triangle_tests, after.triangle_tests - before.triangle_tests);
+    }
+}
+
+/// What a film keeps beside its pixels.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Kept {
+    pub statistics: bool,
+    pub costs: bool,
+}
+
+impl Kept {
+    pub fn by(settings: &RenderSettings) -> Kept {
+        Kept { statistics: settings.keep_statistics, costs: settings.keep_costs }
+    }
+}
+
 /// A picture of linear RGB radiance, rows from the top. Drawn from the memory budget until dropped.
 #[derive(Debug)]
 pub struct Film {
@@ -38,6 +73,7 @@ pub struct Film {
     pixels: Vec<[f32; 3]>,
     /// As many, or none.
     statistics: Vec<PixelStatistics>,
+    costs: Vec<PixelCost>,
     tile_size: u32,
     finished: Vec<bool>,
     _reservation: Reservation,
@@ -49,34 +85,32 @@ impl Film {
     /// # Errors
     /// [`BudgetError`] if the budget cannot hold it.
     pub(crate) fn new(grid: &TileGrid, budget: &MemoryBudget) -> Result<Film, BudgetError> {
-        Film::reserved(grid, false, budget)
+        Film::keeping(grid, Kept::default(), budget)
     }
 
-    /// [`Film::new`] with statistics beside each pixel.
-    pub(crate) fn with_statistics(grid: &TileGrid, budget: &MemoryBudget) -> Result<Film, BudgetError> {
-        Film::reserved(grid, true, budget)
-    }
-
-    fn reserved(grid: &TileGrid, with_statistics: bool, budget: &MemoryBudget) -> Result<Film, BudgetError> {
+    /// [`Film::new`] with more beside each pixel.
+    pub(crate) fn keeping(grid: &TileGrid, kept: Kept, budget: &MemoryBudget) -> Result<Film, BudgetError> {
         let pixel_count = grid.width as usize * grid.height as usize;
-        let bytes = Film::bytes_needed(grid, with_statistics);
-        let reservation = budget.reserve(bytes, "the film")?;
+        let reservation = budget.reserve(Film::bytes_needed(grid, kept), "the film")?;
         Ok(Film {
             width: grid.width,
             height: grid.height,
             pixels: vec![[0.0; 3]; pixel_count],
-            statistics: vec![PixelStatistics::NONE; if with_statistics { pixel_count } else { 0 }],
+            statistics: vec![PixelStatistics::NONE; if kept.statistics { pixel_count } else { 0 }],
+            costs: vec![PixelCost::default(); if kept.costs { pixel_count } else { 0 }],
             tile_size: grid.tile_size,
             finished: vec![false; grid.tile_count()],
             _reservation: reservation,
         })
     }
 
-    /// What [`Film::new`] takes from the budget.
-    pub(crate) fn bytes_needed(grid: &TileGrid, with_statistics: bool) -> Bytes {
+    /// What [`Film::keeping`] takes from the budget.
+    pub(crate) fn bytes_needed(grid: &TileGrid, kept: Kept) -> Bytes {
         let pixel_count = u64::from(grid.width) * u64::from(grid.height);
-        let statistics = if with_statistics { size_of::<PixelStatistics>() } else { 0 };
-        Bytes(pixel_count * (size_of::<[f32; 3]>() + statistics) as u64 + grid.tile_count() as u64)
+        let statistics = if kept.statistics { size_of::<PixelStatistics>() } else { 0 };
+        let costs = if kept.costs { size_of::<PixelCost>() } else { 0 };
+        let per_pixel = (size_of::<[f32; 3]>() + statistics + costs) as u64;
+        Bytes(pixel_count * per_pixel + grid.tile_count() as u64)
     }
 
     /// Width in pixels.
@@ -97,6 +131,11 @@ impl Film {
     /// What is known of each pixel's error, in the order of [`Film::pixels`]; none if it was not asked for.
     pub fn statistics(&self) -> Option<&[PixelStatistics]> {
         (!self.statistics.is_empty()).then_some(&self.statistics[..])
+    }
+
+    /// What each pixel took, in the order of [`Film::pixels`]; none if it was not asked for.
+    pub fn costs(&self) -> Option<&[PixelCost]> {
+        (!self.costs.is_empty()).then_some(&self.costs[..])
     }
 
     /// One row, counted from the top.
@@ -151,6 +190,13 @@ impl Film {
     pub(crate) fn set_statistics(&mut self, grid: &TileGrid, cell: u32, statistics: &[PixelStatistics]) {
         if !self.statistics.is_empty() {
             copy_tile(grid, cell, statistics, &mut self.statistics);
+        }
+    }
+
+    /// Takes over the costs of a tile, given row by row, if the film keeps any.
+    pub(crate) fn set_costs(&mut self, grid: &TileGrid, cell: u32, costs: &[PixelCost]) {
+        if !self.costs.is_empty() {
+            copy_tile(grid, cell, costs, &mut self.costs);
         }
     }
 }

@@ -64,7 +64,8 @@ impl Layers {
 
     /// Writes `film` and these layers as one OpenEXR file (feature `exr`): channels `R G B`, `Z` (infinite where nothing is hit),
     /// `N.X N.Y N.Z`, `albedo.R albedo.G albedo.B`, and as 32-bit integers `triangle.low`, `triangle.high` and `material`, each
-    /// with all bits set where nothing is hit. A film with [`PixelStatistics`](super::PixelStatistics) adds `samples`, as 32-bit integers, and `deviation`. The file appears under its name only when it is whole.
+    /// with all bits set where nothing is hit. A film with [`PixelStatistics`](super::PixelStatistics) adds `samples`, as 32-bit integers, and `deviation`; one with
+    /// [`PixelCost`](super::PixelCost) adds `cost.boxes` and `cost.triangles`, as 32-bit integers. The file appears under its name only when it is whole.
     ///
     /// # Errors
     /// [`RenderError::Setting`] if the film has another size, or `path` does not end in `.exr`, or the build lacks the
@@ -87,7 +88,7 @@ impl Layers {
     pub(super) fn bytes_needed(stage: &Stage) -> Bytes {
         let count = u64::from(stage.grid.width) * u64::from(stage.grid.height);
         /// Channels of 32 bits that a file is written from.
-        const WRITTEN_BYTES: u64 = 15 * 4;
+        const WRITTEN_BYTES: u64 = 17 * 4;
         Bytes(count * (size_of::<Option<LayerPixel>>() as u64 + WRITTEN_BYTES))
     }
 }

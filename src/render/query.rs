@@ -5,6 +5,7 @@ use crate::attributes::AttributeReader;
 use crate::block::attributes::CornerAttributes;
 use crate::error::TraceError;
 use crate::geom::Ray;
+use crate::instance::{InstanceTracer, InstanceTriangle, Instances};
 use crate::stats::TraceCounters;
 use crate::trace::{Hit, MaterialSet, Occlusion, Tracer};
 use crate::units::TriangleId;
@@ -37,15 +38,26 @@ pub(crate) trait RayQuery {
     fn counters(&self) -> TraceCounters;
 }
 
-/// A tracer, and a reader of attributes if the picture needs any.
-pub(crate) struct SceneTracer<'o> {
-    pub tracer: Tracer<'o>,
-    pub attributes: Option<AttributeReader<'o>>,
+/// A tracer, and readers of attributes if the picture needs any. Which one it is is asked once per call.
+pub(crate) enum SceneTracer<'o> {
+    Model {
+        tracer: Tracer<'o>,
+        attributes: Option<AttributeReader<'o>>,
+    },
+    /// A reader for each model that has attributes; none at all if the picture needs none.
+    Instances {
+        instances: &'o Instances,
+        tracer: InstanceTracer<'o>,
+        attributes: Vec<Option<AttributeReader<'o>>>,
+    },
 }
 
 impl RayQuery for SceneTracer<'_> {
     fn closest_hits(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError> {
-        self.tracer.closest_hits(rays, hits)
+        match self {
+            SceneTracer::Model { tracer, .. } => tracer.closest_hits(rays, hits),
+            SceneTracer::Instances { tracer, .. } => tracer.closest_hits(rays, hits),
+        }
     }
 
     fn closest_hits_after(
@@ -54,7 +66,10 @@ impl RayQuery for SceneTracer<'_> {
         after: &[(f64, TriangleId)],
         hits: &mut [Option<Hit>],
     ) -> Result<(), TraceError> {
-        self.tracer.closest_hits_after(rays, after, hits)
+        match self {
+            SceneTracer::Model { tracer, .. } => tracer.closest_hits_after(rays, after, hits),
+            SceneTracer::Instances { tracer, .. } => tracer.closest_hits_after(rays, after, hits),
+        }
     }
 
     fn occluded(
@@ -63,18 +78,32 @@ impl RayQuery for SceneTracer<'_> {
         ignore: Option<&MaterialSet>,
         out: &mut [Occlusion],
     ) -> Result<(), TraceError> {
-        self.tracer.occluded(rays, ignore, out)
+        match self {
+            SceneTracer::Model { tracer, .. } => tracer.occluded(rays, ignore, out),
+            SceneTracer::Instances { tracer, .. } => tracer.occluded(rays, ignore, out),
+        }
     }
 
     fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {
-        match &mut self.attributes {
-            Some(reader) => Ok(reader.get(triangle)?),
-            None => Ok(CornerAttributes::default()),
+        match self {
+            SceneTracer::Model { attributes: Some(reader), .. } => Ok(reader.get(triangle)?),
+            SceneTracer::Model { attributes: None, .. } => Ok(CornerAttributes::default()),
+            SceneTracer::Instances { instances, attributes, .. } => {
+                let InstanceTriangle { instance, triangle } = InstanceTriangle::of(triangle);
+                let Some(placed) = instances.placed(instance) else { return Ok(CornerAttributes::default()) };
+                match attributes.get_mut(placed.model as usize) {
+                    Some(Some(reader)) => Ok(placed.attributes(reader.get(triangle)?)),
+                    _ => Ok(CornerAttributes::default()),
+                }
+            }
         }
     }
 
     fn counters(&self) -> TraceCounters {
-        self.tracer.counters()
+        match self {
+            SceneTracer::Model { tracer, .. } => tracer.counters(),
+            SceneTracer::Instances { tracer, .. } => tracer.counters(),
+        }
     }
 }
 

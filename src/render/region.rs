@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::counters::EffectCounters;
 use super::film::Film;
+use super::geometry::Surfaces;
 use super::paths;
 use super::query::SceneTracer;
 use super::renderer::{Renderer, set};
@@ -72,7 +73,7 @@ impl Renderer<'_> {
         model: &Model,
         settings: &RenderSettings,
     ) -> Result<Bytes, RenderError> {
-        let (stage, _) = set(scene, model, settings)?;
+        let (stage, _) = set(scene, &Surfaces::from(model), settings)?;
         // Caches are shared by all threads; a part of each thread's own is as much or more.
         let details = Renderer::detail_bytes(scene, model, settings, 1)?;
         Ok(Bytes(scratch_bytes(&stage).0 + details.0))

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::film::Film;
+use super::film::{Film, Kept};
+use super::geometry::{self, Geometry, Surfaces};
 use super::layers::{Layers, layers};
 use super::probe::Probe;
 use super::query::{RayQuery, SceneTracer};
@@ -18,6 +19,7 @@ use crate::budget::MemoryBudget;
 use crate::cache::CacheStats;
 use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
+use crate::instance::Instances;
 use crate::model::Model;
 use crate::octree::LazyOctree;
 use crate::scene::{EffectPlan, Scene};
@@ -48,11 +50,12 @@ impl RenderedImage {
 
 /// Renders pictures of one scene through one octree.
 pub struct Renderer<'a> {
-    pub(super) octree: &'a LazyOctree,
+    geometry: Geometry<'a>,
     pub(super) stage: Stage,
     plan: EffectPlan,
     pub(super) budget: MemoryBudget,
-    attributes: Option<AttributeCache>,
+    /// One for each model that has attributes; none at all if the picture needs none.
+    attributes: Vec<Option<AttributeCache>>,
 }
 
 impl<'a> Renderer<'a> {
@@ -69,23 +72,41 @@ impl<'a> Renderer<'a> {
         settings: &RenderSettings,
         budget: &MemoryBudget,
     ) -> Result<Renderer<'a>, RenderError> {
-        let (mut stage, plan) = set(scene, octree.model(), settings)?;
+        Renderer::of(Geometry::Model(octree), scene, settings, budget)
+    }
+
+    /// [`Renderer::new`] over instances. Materials of all models are told apart by name alone: a [`Finish`](crate::scene::Finish) holds for all of its name.
+    ///
+    /// # Errors
+    /// As for [`Renderer::new`].
+    pub fn over_instances(
+        instances: &'a Instances,
+        scene: &Scene,
+        settings: &RenderSettings,
+        budget: &MemoryBudget,
+    ) -> Result<Renderer<'a>, RenderError> {
+        Renderer::of(Geometry::Instances(instances), scene, settings, budget)
+    }
+
+    fn of(
+        geometry: Geometry<'a>,
+        scene: &Scene,
+        settings: &RenderSettings,
+        budget: &MemoryBudget,
+    ) -> Result<Renderer<'a>, RenderError> {
+        let (mut stage, plan) = set(scene, &geometry.surfaces(), settings)?;
         // Threads of a render have a tracer each.
-        let readers = octree.tracers_max().max(1);
+        let readers = geometry.tracers_max();
         let [attribute_share, texture_share] = detail_shares(&stage, settings);
-        let attributes = match stage.needs_attributes(octree.model()) {
-            true => {
-                let source = Arc::clone(octree.source());
-                let cache = AttributeCache::open(source, attribute_share, readers, budget);
-                Some(cache.map_err(TraceError::Load)?)
-            }
-            false => None,
+        let attributes = match stage.needs_attributes() {
+            true => geometry.open_attributes(attribute_share, readers, budget)?,
+            false => Vec::new(),
         };
         if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
             let cache = TextureCache::open(Arc::clone(textures), texture_share, readers, budget)?;
             stage.textures = Some(Arc::new(cache));
         }
-        Ok(Renderer { octree, stage, plan, budget: budget.clone(), attributes })
+        Ok(Renderer { geometry, stage, plan, budget: budget.clone(), attributes })
     }
 
     /// What a render on `threads` takes from the budget for film, ray trees and tables. An octree opened without
@@ -99,9 +120,23 @@ impl<'a> Renderer<'a> {
         settings: &RenderSettings,
         threads: &Threads,
     ) -> Result<Bytes, RenderError> {
-        let (stage, _) = set(scene, model, settings)?;
+        Renderer::bytes_needed_for(&[model], scene, settings, threads)
+    }
+
+    /// [`Renderer::bytes_needed`] for a picture of instances of all these models.
+    ///
+    /// # Errors
+    /// As for [`Renderer::new`].
+    pub fn bytes_needed_for(
+        models: &[&Model],
+        scene: &Scene,
+        settings: &RenderSettings,
+        threads: &Threads,
+    ) -> Result<Bytes, RenderError> {
+        let surfaces = Surfaces::from(models);
+        let (stage, _) = set(scene, &surfaces, settings)?;
         let readers = workers::worker_count(threads) as u32;
-        let details = detail_bytes(&stage, scene, model, readers);
+        let details = detail_bytes(&stage, scene, &surfaces, readers);
         Ok(Bytes(memory(&stage, threads).total().0 + details.0))
     }
 
@@ -115,13 +150,16 @@ impl<'a> Renderer<'a> {
         settings: &RenderSettings,
         readers: u32,
     ) -> Result<Bytes, RenderError> {
-        let (stage, _) = set(scene, model, settings)?;
-        Ok(detail_bytes(&stage, scene, model, readers))
+        let surfaces = Surfaces::from(model);
+        let (stage, _) = set(scene, &surfaces, settings)?;
+        Ok(detail_bytes(&stage, scene, &surfaces, readers))
     }
 
-    /// What the cache of attributes did, if the picture needs one.
+    /// What the cache of attributes did (of several models, their caches together), if the picture needs one.
     pub fn attribute_stats(&self) -> Option<CacheStats> {
-        self.attributes.as_ref().map(AttributeCache::stats)
+        let mut caches = self.attributes.iter().flatten().peekable();
+        caches.peek()?;
+        Some(geometry::sum_of(caches.map(AttributeCache::stats)))
     }
 
     /// What the cache of textures did, if the picture needs one.
@@ -134,8 +172,7 @@ impl<'a> Renderer<'a> {
     /// # Errors
     /// [`RenderError::Trace`] if the octree gives no more tracers.
     pub(super) fn query(&self) -> Result<SceneTracer<'_>, TraceError> {
-        let attributes = self.attributes.as_ref().map(AttributeCache::reader);
-        Ok(SceneTracer { tracer: self.octree.tracer()?, attributes })
+        self.geometry.query(&self.attributes)
     }
 
     /// The effects that will be simulated, and why.
@@ -175,7 +212,7 @@ impl<'a> Renderer<'a> {
         thresholds: &Thresholds<'_>,
         progress: &mut (dyn FnMut(Progress) -> Control + Send),
     ) -> Result<RenderedImage, RenderError> {
-        let cache_before = self.octree.cache().stats();
+        let cache_before = self.geometry.cache_stats();
         let picture = picture(&self.stage, threads, &self.budget, &|| self.query(), thresholds, progress)?;
         let Picture { film, totals, wall_seconds, memory } = picture;
         let settings = &self.stage.settings;
@@ -196,9 +233,9 @@ impl<'a> Renderer<'a> {
             plan: self.plan.clone(),
             effects: totals.effects,
             trace: totals.trace,
-            cache: since(&cache_before, &self.octree.cache().stats()),
-            blocks_touched: self.octree.blocks_touched(),
-            blocks_total: self.octree.block_count(),
+            cache: since(&cache_before, &self.geometry.cache_stats()),
+            blocks_touched: self.geometry.blocks_touched(),
+            blocks_total: self.geometry.block_count(),
             memory,
             budget_peak: self.budget.peak(),
         };
@@ -244,7 +281,7 @@ impl Renderer<'_> {
         settings: &RenderSettings,
         pixel_count: u32,
     ) -> Result<Bytes, RenderError> {
-        let (stage, _) = set(scene, model, settings)?;
+        let (stage, _) = set(scene, &Surfaces::from(model), settings)?;
         Ok(Probe::<SceneTracer<'_>>::bytes_needed(&stage, pixel_count))
     }
 }
@@ -258,11 +295,11 @@ pub(super) struct Picture {
 }
 
 /// What the caches of attributes and textures take for so many threads.
-fn detail_bytes(stage: &Stage, scene: &Scene, model: &Model, readers: u32) -> Bytes {
+fn detail_bytes(stage: &Stage, scene: &Scene, surfaces: &Surfaces<'_>, readers: u32) -> Bytes {
     let [attribute_share, texture_share] = detail_shares(stage, &stage.settings);
     let mut bytes = 0;
-    if stage.needs_attributes(model) {
-        bytes += AttributeCache::footprint(model, attribute_share, readers).0;
+    if stage.needs_attributes() {
+        bytes += surfaces.attribute_bytes(attribute_share, readers).0;
     }
     if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
         bytes += TextureCache::footprint(textures, texture_share, readers).0;
@@ -280,17 +317,18 @@ fn detail_shares(stage: &Stage, settings: &RenderSettings) -> [Bytes; 2] {
 /// Checks scene and settings and brings them into the form that rendering wants.
 pub(super) fn set(
     scene: &Scene,
-    model: &Model,
+    surfaces: &Surfaces<'_>,
     settings: &RenderSettings,
 ) -> Result<(Stage, EffectPlan), RenderError> {
     scene.validate()?;
     settings.validate()?;
-    scene.validate_finishes(&model.materials)?;
-    if model.attributes.have_uvs() {
-        scene.validate_textures(&model.materials, settings.switched_off)?;
+    let materials = &surfaces.materials;
+    scene.validate_finishes(materials)?;
+    if surfaces.have_uvs() {
+        scene.validate_textures(materials, settings.switched_off)?;
     }
-    let plan = EffectPlan::scan(scene, model, &settings.effect_options());
-    Ok((Stage::new(scene, &model.materials, &plan, settings), plan))
+    let plan = surfaces.plan(scene, &settings.effect_options());
+    Ok((Stage::new(scene, materials, &plan, settings), plan))
 }
 
 /// Renders `stage` through queries from `make_query`.
@@ -305,11 +343,7 @@ pub(super) fn picture<Q: RayQuery>(
     let start = Instant::now();
     let needed = memory(stage, threads);
     let _scratch = budget.reserve(needed.scratch, "the renderer's ray trees and tiles")?;
-    let mut film = if stage.settings.keep_statistics {
-        Film::with_statistics(&stage.grid, budget)?
-    } else {
-        Film::new(&stage.grid, budget)?
-    };
+    let mut film = Film::keeping(&stage.grid, Kept::by(&stage.settings), budget)?;
     let order = stage.grid.hilbert_order();
     let totals = workers::run(stage, &order, &mut film, threads, make_query, thresholds, progress)?;
     Ok(Picture { film, totals, wall_seconds: start.elapsed().as_secs_f64(), memory: needed.total() })
@@ -332,7 +366,7 @@ fn memory(stage: &Stage, threads: &Threads) -> Memory {
     let scratch = per_thread as u64 * workers::worker_count(threads) as u64
         + stage.bytes() as u64
         + stage.grid.order_bytes().0;
-    Memory { film: Film::bytes_needed(&stage.grid, stage.settings.keep_statistics), scratch: Bytes(scratch) }
+    Memory { film: Film::bytes_needed(&stage.grid, Kept::by(&stage.settings)), scratch: Bytes(scratch) }
 }
 
 /// What happened between two looks at the same cache.

@@ -34,6 +34,9 @@ pub struct RenderSettings {
     pub adaptive: Option<AdaptiveSampling>,
     /// Whether the film keeps [`PixelStatistics`](super::PixelStatistics) beside each pixel. Does not show.
     pub keep_statistics: bool,
+    /// Whether the film keeps the [`PixelCost`](super::PixelCost) of each pixel. Does not show, but rays of different pixels are then not traced together,
+    /// which takes longer.
+    pub keep_costs: bool,
     /// How samples are spread around their pixel.
     pub filter: Filter,
     /// Key of the sample positions and of all other random numbers.
@@ -70,6 +73,7 @@ impl RenderSettings {
             samples_per_pixel: 1,
             adaptive: None,
             keep_statistics: false,
+            keep_costs: false,
             filter: Filter::default(),
             seed: 0,
             contribution_bound: 1e-3,

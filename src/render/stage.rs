@@ -11,7 +11,7 @@ use super::sampling::pixel_offset;
 use super::settings::{PathEnd, RenderSettings};
 use super::tiles::TileGrid;
 use crate::geom::Ray;
-use crate::model::{MaterialRecord, Model};
+use crate::model::MaterialRecord;
 use crate::scene::{
     AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Scene, Surface, View,
 };
@@ -325,9 +325,9 @@ impl Stage {
             + self.areas.len() * size_of::<AreaEmitter>()
     }
 
-    /// Whether hits are asked for attributes that the model has.
-    pub fn needs_attributes(&self, model: &Model) -> bool {
-        (self.smooth || self.force_details || self.needs_textures()) && !model.attributes.is_empty()
+    /// Whether hits are asked for attributes, if there are any.
+    pub fn needs_attributes(&self) -> bool {
+        self.smooth || self.force_details || self.needs_textures()
     }
 
     /// Whether hits are looked up in pictures.

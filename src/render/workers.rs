@@ -7,7 +7,7 @@ use parking_lot::Mutex;
 
 use super::adaptive::SampleBlocks;
 use super::counters::EffectCounters;
-use super::film::{Film, PixelStatistics};
+use super::film::{Film, PixelCost, PixelStatistics};
 use super::paths::PathTracer;
 use super::progress::Progress;
 use super::query::RayQuery;
@@ -126,6 +126,7 @@ impl Shared<'_> {
                         let mut film = self.film.lock();
                         film.set_tile(&self.stage.grid, *cell, worker.finished());
                         film.set_statistics(&self.stage.grid, *cell, worker.statistics());
+                        film.set_costs(&self.stage.grid, *cell, worker.costs());
                         drop(film);
                         self.tiles.fetch_add(1, Ordering::Relaxed);
                         self.report();
@@ -180,6 +181,8 @@ struct Tile {
     sums: Vec<DVec3>,
     /// The same in blocks, in that order; only if errors are asked for.
     blocks: Vec<SampleBlocks>,
+    /// What their rays took, in that order; only if it is asked for.
+    costs: Vec<PixelCost>,
     /// Contrast with the neighbours, in that order; only with adaptive sampling.
     contrasts: Vec<DVec3>,
     /// Index of each pixel, row by row; only with adaptive sampling.
@@ -224,6 +227,7 @@ pub(crate) struct Worker<'s, W, Q> {
     finished: Vec<[f32; 3]>,
     /// Beside them; only if they are kept.
     statistics: Vec<PixelStatistics>,
+    costs: Vec<PixelCost>,
 }
 
 /// What must be known to trace samples of a tile.
@@ -253,6 +257,7 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
             tile: Tile::default(),
             finished: Vec::new(),
             statistics: Vec::new(),
+            costs: Vec::new(),
         }
     }
 
@@ -264,6 +269,11 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
     /// What is known of their errors; empty if it was not asked for.
     pub fn statistics(&self) -> &[PixelStatistics] {
         &self.statistics
+    }
+
+    /// What they took; empty if it was not asked for.
+    pub fn costs(&self) -> &[PixelCost] {
+        &self.costs
     }
 
     /// Rays by effect so far.
@@ -290,6 +300,8 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
         tile.sums.resize(count, DVec3::ZERO);
         tile.blocks.clear();
         tile.blocks.resize(if keeps_blocks(stage) { count } else { 0 }, SampleBlocks::EMPTY);
+        tile.costs.clear();
+        tile.costs.resize(if settings.keep_costs { count } else { 0 }, PixelCost::default());
         tile.contrasts.clear();
         tile.active.clear();
         tile.active.extend(0..count as u32);
@@ -321,7 +333,7 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
     /// Traces samples `first .. first + count` of the active pixels; false if the render was stopped before the end.
     fn trace_samples(&mut self, place: &Place, first: u32, count: u32) -> Result<bool, TraceError> {
         let stage = self.stage;
-        let Tile { pixels, sums, blocks, active, .. } = &mut self.tile;
+        let Tile { pixels, sums, blocks, costs, active, .. } = &mut self.tile;
         let per_pixel = u64::from(count);
         let total = active.len() as u64 * per_pixel;
         let mut start = 0;
@@ -329,7 +341,12 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
             if self.watch.is_stopped() {
                 return Ok(false);
             }
-            let end = total.min(start + self.paths.batch_samples as u64);
+            let mut end = total.min(start + self.paths.batch_samples as u64);
+            if stage.settings.keep_costs {
+                // No further than the pixel.
+                end = end.min((start / per_pixel + 1) * per_pixel);
+            }
+            let before = stage.settings.keep_costs.then(|| self.paths.query.counters());
             let rays = (start..end).map(|index| {
                 let [x, y] = pixels[active[(index / per_pixel) as usize] as usize].map(u32::from);
                 // Below `samples_per_pixel`, a u32.
@@ -337,6 +354,10 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
                 stage.pixel_sample(place.ground.x + x, place.ground.y + y, sample)
             });
             self.paths.trace(rays)?;
+            if let Some(before) = before {
+                let pixel = active[(start / per_pixel) as usize] as usize;
+                costs[pixel].add(&before, &self.paths.query.counters());
+            }
             let mut own = 0;
             for (index, (radiance, lost)) in
                 (start..end).zip(self.paths.radiance().iter().zip(self.paths.lost()))
@@ -359,7 +380,7 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
 
     /// Brings the tile's pixels into the order of the film.
     fn finish(&mut self, place: &Place) {
-        let Tile { pixels, sums, blocks, contrasts, .. } = &self.tile;
+        let Tile { pixels, sums, blocks, costs, contrasts, .. } = &self.tile;
         let settings = &self.stage.settings;
         let area = &place.area;
         let count = area.width as usize * area.height as usize;
@@ -367,6 +388,8 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
         self.finished.resize(count, [0.0; 3]);
         self.statistics.clear();
         self.statistics.resize(if settings.keep_statistics { count } else { 0 }, PixelStatistics::NONE);
+        self.costs.clear();
+        self.costs.resize(if settings.keep_costs { count } else { 0 }, PixelCost::default());
         let mut saved = 0;
         for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {
             let [x, y] = pixel.map(u32::from);
@@ -375,6 +398,9 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
             let samples = blocks.get(index).map_or(settings.samples_per_pixel, SampleBlocks::samples);
             saved += u64::from(settings.samples_per_pixel - samples);
             self.finished[to] = to_f32(sums[index] / f64::from(samples));
+            if let Some(cost) = self.costs.get_mut(to) {
+                *cost = costs[index];
+            }
             if let Some(statistics) = self.statistics.get_mut(to) {
                 let contrast = contrasts.get(index).copied().unwrap_or(DVec3::ZERO);
                 *statistics = PixelStatistics {
@@ -459,8 +485,10 @@ pub(crate) fn tile_bytes(stage: &Stage) -> usize {
     let blocks = if keeps_blocks(stage) { size_of::<SampleBlocks>() } else { 0 };
     let adaptive = if is_adaptive { size_of::<DVec3>() + size_of::<u32>() } else { 0 };
     let statistics = if settings.keep_statistics { size_of::<PixelStatistics>() } else { 0 };
-    pixels(border) * (size_of::<[u16; 2]>() + size_of::<DVec3>() + size_of::<u32>() + blocks + adaptive)
-        + pixels(0) * (size_of::<[f32; 3]>() + statistics)
+    let costs = if settings.keep_costs { size_of::<PixelCost>() } else { 0 };
+    pixels(border)
+        * (size_of::<[u16; 2]>() + size_of::<DVec3>() + size_of::<u32>() + blocks + costs + adaptive)
+        + pixels(0) * (size_of::<[f32; 3]>() + statistics + costs)
 }
 
 struct StopOnPanic<'s>(&'s AtomicBool);

@@ -99,6 +99,18 @@ impl EffectPlan {
         self.needed
     }
 
+    /// Whether any effect chooses its rays by luck, beside where in the pixel, on the lens and in time a sample begins.
+    pub fn has_sampled_effects(&self) -> bool {
+        let sampled = [
+            Effect::AreaLight,
+            Effect::EnvironmentLight,
+            Effect::GlossyReflection,
+            Effect::RoughRefraction,
+            Effect::Interreflection,
+        ];
+        sampled.into_iter().any(|effect| self.has(effect))
+    }
+
     /// Whether rays of `effect` are traced even where they cannot matter.
     pub fn forces(&self, effect: Effect) -> bool {
         self.forced.contains(effect)

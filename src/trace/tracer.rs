@@ -15,12 +15,12 @@ use super::together::{Lanes, closest_hits_together};
 use super::{Hit, MaterialSet, Occlusion};
 use crate::access::QueryKind;
 use crate::budget::Reservation;
-use crate::error::TraceError;
+use crate::error::{LoadError, TraceError};
 use crate::geom::Ray;
 use crate::octree::{LazyOctree, LocalRay, QueryRay, RayGroup, Tier, TracerPermit, tracer_bytes};
 use crate::simd::{AnyOperation, LANES, Operation, Simd, dispatch};
 use crate::stats::TraceCounters;
-use crate::units::TriangleId;
+use crate::units::{BlockId, TriangleId};
 
 /// Answers queries on one thread, with memory of its own.
 ///
@@ -127,6 +127,14 @@ impl<'o> Tracer<'o> {
         // A set that ignores nothing would only cost a look at each material.
         let ignore = ignore.filter(|set| !set.is_empty());
         dispatch(self.octree.level, Occlusions { tracer: self, rays, ignore, out })
+    }
+
+    /// The slot of `block`, pinned until another block takes its place; loaded if it is missing. For traversals outside this room.
+    #[inline(always)]
+    pub(crate) fn slot(&mut self, block: BlockId) -> Result<&[u8], LoadError> {
+        let loaded = self.pins.get(self.octree, block, &mut self.scratch, &mut self.counters)?;
+        // The pins of a tracer load, so that there is always a slot.
+        Ok(loaded.unwrap_or_default())
     }
 
     /// What this tracer did so far.

@@ -25,6 +25,7 @@ mod input;
 mod leaks;
 mod light;
 mod scales;
+mod shading;
 mod shapes;
 mod surfaces;
 mod tiers;

@@ -96,42 +96,20 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
 
     /// Takes every ray of a call on until it has a hit on something that is there, or none.
     fn pass_cut_outs(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError> {
-        self.places.clear();
-        self.rays.clear();
-        self.after.clear();
+        self.forget();
         for (place, (ray, hit)) in (0u32..).zip(rays.iter().zip(hits.iter())) {
             if let Some(hit) = hit
                 && self.is_cut_out(hit)?
             {
-                self.places.push(place);
-                self.rays.push(*ray);
-                self.after.push((hit.t, hit.triangle));
+                self.put(place, ray, (hit.t, hit.triangle));
             }
         }
-        while !self.places.is_empty() {
-            let count = self.places.len();
-            self.counters.cutout_rays += count as u64;
-            self.hits.resize(self.hits.len().max(count), None);
-            self.geometry.closest_hits_after(&self.rays, &self.after, &mut self.hits[..count])?;
-            let mut left = 0;
-            for index in 0..count {
-                let found = self.hits[index];
-                let place = self.places[index];
-                match found {
-                    Some(hit) if self.is_cut_out(&hit)? => {
-                        self.places[left] = place;
-                        self.rays[left] = self.rays[index];
-                        self.after[left] = (hit.t, hit.triangle);
-                        left += 1;
-                    }
-                    found => hits[place as usize] = found,
-                }
+        self.walk(|place, hit, is_cut_out| {
+            if !is_cut_out {
+                hits[place as usize] = hit.copied();
             }
-            self.places.truncate(left);
-            self.rays.truncate(left);
-            self.after.truncate(left);
-        }
-        Ok(())
+            is_cut_out
+        })
     }
 
     /// What really lies between the ends of rays of which it is known that they meet cut-out or ignored materials only.
@@ -141,40 +119,67 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
         ignore: Option<&MaterialSet>,
         out: &mut [Occlusion],
     ) -> Result<(), TraceError> {
-        let mut open: Vec<usize> =
-            (0..rays.len()).filter(|index| out[*index] == Occlusion::Filtered).collect();
-        let mut open_rays: Vec<Ray> = open.iter().map(|index| rays[*index]).collect();
-        for index in &open {
-            out[*index] = Occlusion::Clear;
+        self.forget();
+        for (place, (ray, occlusion)) in (0u32..).zip(rays.iter().zip(out.iter_mut())) {
+            if *occlusion == Occlusion::Filtered {
+                *occlusion = Occlusion::Clear;
+                // NaN: from the first hit on.
+                self.put(place, ray, (f64::NAN, TriangleId(0)));
+            }
         }
-        let mut after: Vec<(f64, TriangleId)> = Vec::new();
-        let mut hits = vec![None; open.len()];
-        let mut is_first = true;
-        while !open.is_empty() {
-            let hits = &mut hits[..open.len()];
-            self.counters.cutout_rays += open.len() as u64;
-            if is_first {
-                self.geometry.closest_hits(&open_rays, hits)?;
-            } else {
-                self.geometry.closest_hits_after(&open_rays, &after, hits)?;
+        self.walk(|place, hit, is_cut_out| {
+            let Some(hit) = hit else { return false };
+            if is_cut_out {
+                return true;
             }
-            is_first = false;
-            let (mut next, mut next_rays, mut next_after) = (Vec::new(), Vec::new(), Vec::new());
-            for (index, (ray, hit)) in open.iter().zip(open_rays.iter().zip(hits.iter())) {
-                let Some(hit) = hit else { continue };
-                if !self.is_cut_out(hit)? {
-                    if ignore.is_some_and(|ignore| ignore.contains(hit.material)) {
-                        out[*index] = Occlusion::Filtered;
-                    } else {
-                        out[*index] = Occlusion::Blocked;
-                        continue;
-                    }
+            let is_ignored = ignore.is_some_and(|ignore| ignore.contains(hit.material));
+            out[place as usize] = if is_ignored { Occlusion::Filtered } else { Occlusion::Blocked };
+            is_ignored
+        })
+    }
+
+    /// Nothing is on its way.
+    fn forget(&mut self) {
+        self.places.clear();
+        self.rays.clear();
+        self.after.clear();
+    }
+
+    /// Sets a ray of the call on its way, from behind a hit.
+    fn put(&mut self, place: u32, ray: &Ray, after: (f64, TriangleId)) {
+        self.places.push(place);
+        self.rays.push(*ray);
+        self.after.push(after);
+    }
+
+    /// Tells `goes_on` the next hit of each ray on its way, if there is one, and whether it is cut out; behind a hit of which it gives true, the ray
+    /// goes on.
+    fn walk(&mut self, mut goes_on: impl FnMut(u32, Option<&Hit>, bool) -> bool) -> Result<(), TraceError> {
+        while !self.places.is_empty() {
+            let count = self.places.len();
+            self.counters.cutout_rays += count as u64;
+            self.hits.resize(self.hits.len().max(count), None);
+            self.geometry.closest_hits_after(&self.rays, &self.after, &mut self.hits[..count])?;
+            let mut left = 0;
+            for index in 0..count {
+                let found = self.hits[index];
+                let is_cut_out = match &found {
+                    Some(hit) => self.is_cut_out(hit)?,
+                    None => false,
+                };
+                let place = self.places[index];
+                if goes_on(place, found.as_ref(), is_cut_out)
+                    && let Some(hit) = found
+                {
+                    self.places[left] = place;
+                    self.rays[left] = self.rays[index];
+                    self.after[left] = (hit.t, hit.triangle);
+                    left += 1;
                 }
-                next.push(*index);
-                next_rays.push(*ray);
-                next_after.push((hit.t, hit.triangle));
             }
-            (open, open_rays, after) = (next, next_rays, next_after);
+            self.places.truncate(left);
+            self.rays.truncate(left);
+            self.after.truncate(left);
         }
         Ok(())
     }

@@ -36,8 +36,17 @@ pub(super) fn encode(film: &Film, layers: &Layers, out: &mut (impl Write + Seek)
         ("deviation", FlatSamples::F32(statistics.iter().map(|pixel| pixel.deviation).collect())),
     ];
     let of_samples = of_samples.into_iter().filter(|_| !statistics.is_empty());
-    let channels =
-        channels.into_iter().chain(of_samples).map(|(name, samples)| AnyChannel::new(name, samples));
+    let costs = film.costs().unwrap_or_default();
+    let of_costs = [
+        ("cost.boxes", FlatSamples::U32(costs.iter().map(|cost| cost.box_tests).collect())),
+        ("cost.triangles", FlatSamples::U32(costs.iter().map(|cost| cost.triangle_tests).collect())),
+    ];
+    let of_costs = of_costs.into_iter().filter(|_| !costs.is_empty());
+    let channels = channels
+        .into_iter()
+        .chain(of_samples)
+        .chain(of_costs)
+        .map(|(name, samples)| AnyChannel::new(name, samples));
     let size = (film.width() as usize, film.height() as usize);
     let encoding = Encoding {
         compression: Compression::ZIP16,

@@ -52,7 +52,7 @@ impl EnvironmentImage {
         Self::with_reservation(width, height, pixels, reservation)
     }
 
-    /// Reads the first layer with red, green and blue of an OpenEXR file (feature `exr`).
+    /// Reads a Radiance picture (`.hdr`, `.pic`), or the first layer with red, green and blue of an OpenEXR file (`.exr`, feature `exr`).
     ///
     /// # Errors
     /// [`RenderError::Read`] if the file cannot be read, is damaged, or is of a format that this build does not read; otherwise
@@ -62,12 +62,12 @@ impl EnvironmentImage {
         match extension.to_ascii_lowercase().as_str() {
             #[cfg(feature = "exr")]
             "exr" => super::exr::read(path, budget),
+            "hdr" | "pic" => super::hdr::read(path, budget),
             _ => {
-                let _ = budget;
                 let reason = if cfg!(feature = "exr") {
-                    "only OpenEXR is read; convert it to .exr"
+                    "only Radiance (.hdr) and OpenEXR (.exr) pictures are read; convert it to one of them"
                 } else {
-                    "this build reads no environment images; build it with the feature `exr`"
+                    "this build reads only Radiance pictures (.hdr); convert it, or build with the feature `exr` for OpenEXR"
                 };
                 Err(RenderError::Read { path: path.to_path_buf(), reason: reason.to_string() })
             }
@@ -117,6 +117,11 @@ impl EnvironmentImage {
         };
         image.fill_tables();
         Ok(image)
+    }
+
+    #[cfg(test)]
+    pub(super) fn pixel(&self, x: usize, y: usize) -> [f32; 3] {
+        self.pixels[y * self.width as usize + x]
     }
 
     /// Width and height in pixels.

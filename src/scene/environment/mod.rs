@@ -2,6 +2,7 @@
 
 #[cfg(feature = "exr")]
 mod exr;
+mod hdr;
 mod image;
 mod surroundings;
 mod table;

@@ -54,25 +54,31 @@ impl Environment {
     /// # Errors
     /// [`RenderError::Setting`] if a number is negative or not finite, or `front` lies along `up`.
     pub fn validate(&self) -> Result<(), RenderError> {
-        let error =
-            |reason: &str| Err(RenderError::Setting { what: "environment", reason: reason.to_string() });
         match self {
             Environment::Constant(radiance) => {
                 if radiance.iter().any(|channel| !(*channel >= 0.0 && channel.is_finite())) {
-                    return error("each channel must be finite and not negative");
+                    return Err(refused("each channel must be finite and not negative"));
                 }
+                Ok(())
             }
-            Environment::Image { scale, up, front, .. } => {
-                if !(*scale >= 0.0 && scale.is_finite()) {
-                    return error("the scale must be finite and not negative");
-                }
-                if frame(*up, *front).is_none() {
-                    return error("up and front must be finite, not zero and not along one line");
-                }
-            }
+            Environment::Image { scale, up, front, .. } => Self::validate_picture(*scale, *up, *front),
+        }
+    }
+
+    /// [`Environment::validate`] for what stands beside a picture.
+    pub(crate) fn validate_picture(scale: f32, up: [f64; 3], front: [f64; 3]) -> Result<(), RenderError> {
+        if !(scale >= 0.0 && scale.is_finite()) {
+            return Err(refused("the scale must be finite and not negative"));
+        }
+        if frame(up, front).is_none() {
+            return Err(refused("up and front must be finite, not zero and not along one line"));
         }
         Ok(())
     }
+}
+
+fn refused(reason: &str) -> RenderError {
+    RenderError::Setting { what: "environment", reason: reason.to_string() }
 }
 
 /// Right, up and front of a picture, orthonormal.
