@@ -145,11 +145,7 @@ impl<G: Goal> Walk<'_, '_, G> {
             let count = child.triangle_count();
             self.counters.triangle_tests += count as u64;
             let edge = fine.edge(child);
-            let leaf = if self.octree.layout.expanded {
-                fine.leaf::<true>(child)
-            } else {
-                fine.leaf::<false>(child)
-            };
+            let leaf = fine.leaf(None, child);
             let mut first = 0;
             while first < count {
                 let packet = leaf.packet(simd, first);
