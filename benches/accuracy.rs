@@ -217,7 +217,7 @@ fn time_goals(found: &Subjects, subject: &Subject<'_>, is_test: bool) -> Result<
         let (GoalImage { certificate, .. }, processor) = to_goal(subject, &options, start)?;
         let wall = start.elapsed().as_secs_f64();
         let asked = *milliseconds as f64 * 1e-3;
-        let rmse = certificate.estimates.map_or(f64::NAN, |estimates| estimates[0].value);
+        let rmse = certificate.estimate(Metric::Rmse).map_or(f64::NAN, |estimate| estimate.value);
         println!(
             "| {} | {asked} s | {wall:.2} s | {:+.1} % | {processor:.2} s | {:.1} | {rmse:.4} |",
             found.name,

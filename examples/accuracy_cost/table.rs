@@ -85,7 +85,7 @@ pub fn summary(report: &Report) -> String {
         "\nReference: {} samples per pixel, {:.0} CPU s, its own RMSE about {:.1e}. {} pixels are the exact tier's, bit for bit.",
         report.reference_samples,
         report.reference_seconds,
-        report.certificate.estimates.map_or(f64::NAN, |estimates| estimates[0].value),
+        report.certificate.estimate(Metric::Rmse).map_or(f64::NAN, |estimate| estimate.value),
         report.exact_pixels
     ));
     line(format!("No bit of the picture depends on: {}.", neutral(report).join("; ")));

@@ -24,7 +24,8 @@ impl Crew {
         coordinator: &str,
         model: &Path,
     ) -> Result<(), Box<dyn Error>> {
-        for (role, count) in [("reader", options.readers as u32), ("worker", options.workers)] {
+        let readers = if options.peers { 0 } else { options.readers as u32 };
+        for (role, count) in [("reader", readers), ("worker", options.workers)] {
             for number in 1..=count {
                 let mut command = Command::new(std::env::current_exe()?);
                 command.arg(model).args(["--role", role, "--connect", coordinator]);
@@ -35,6 +36,9 @@ impl Crew {
                     "--memory",
                     &options.memory.0.to_string(),
                 ]);
+                if options.peers {
+                    command.args(["--serve", "127.0.0.1:0"]);
+                }
                 if options.verbose {
                     command.arg("--verbose");
                 } else {

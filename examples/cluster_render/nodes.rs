@@ -21,6 +21,7 @@ use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
 use outcrop::source::{DiskSource, PageCache};
 use outcrop::transport::SharedKey;
+use outcrop::units::Bytes;
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 
 use crate::common::gears_view;
@@ -143,7 +144,14 @@ pub fn coordinate(
         println!("listening at {address}");
     }
 
-    let shipping = if options.ship.is_some() { Some(ship(options, network, &path, &address)?) } else { None };
+    // For workers that have no file and no other reader.
+    let shipping = match &options.ship {
+        Some(listen) => {
+            let offer = Offer { name: "coordinator's file", listen, memory: options.memory };
+            Some(serve(options, network, &path, &address, &offer)?)
+        }
+        None => None,
+    };
 
     let mut observe = |coordinator: &Coordinator, log: &[String]| {
         for line in log.iter().filter(|line| options.verbose || line.starts_with("refused")) {
@@ -186,19 +194,27 @@ pub fn coordinate(
     Ok(ExitCode::SUCCESS)
 }
 
-/// A reader in the coordinator's process, for workers that have no file and no other reader. Ends with the picture.
-fn ship(
+/// What a node serves beside what else it does.
+struct Offer<'o> {
+    name: &'o str,
+    listen: &'o str,
+    memory: Bytes,
+}
+
+/// A reader in the process of another node. Ends with the picture.
+fn serve(
     options: &Options,
     network: &Network<'_>,
     path: &Path,
     coordinator: &str,
+    offer: &Offer<'_>,
 ) -> Result<(Arc<AtomicBool>, JoinHandle<()>), Box<dyn Error>> {
-    const NAME: &str = "coordinator's file";
-    let transport = network.reader(NAME, options.ship.as_deref())?;
-    let address = transport.address().ok_or("the coordinator's file is listened for nowhere")?;
-    let budget = MemoryBudget::new(options.memory);
+    let name = offer.name.to_owned();
+    let transport = network.reader(&name, Some(offer.listen))?;
+    let address = transport.address().ok_or_else(|| format!("{name}: it listens nowhere"))?;
+    let budget = MemoryBudget::new(offer.memory);
     let file = Arc::new(open(path)?);
-    let reader = Reader::new(file, NAME, &address, options.memory, &budget, RoleOptions::default())?;
+    let reader = Reader::new(file, &name, &address, offer.memory, &budget, RoleOptions::default())?;
     let stop = Arc::new(AtomicBool::new(false));
     let (flag, coordinator) = (Arc::clone(&stop), coordinator.to_owned());
     let (patience, verbose) = (options.patience, options.verbose);
@@ -208,8 +224,13 @@ fn ship(
                 eprintln!("{line}");
             }
         };
-        if let Err(error) = run_reader(&*transport, reader, &coordinator, patience, &flag, &mut log) {
-            eprintln!("{NAME}: {error}");
+        match run_reader(&*transport, reader, &coordinator, patience, &flag, &mut log) {
+            Ok(counters) if verbose => println!(
+                "{name}: {} blocks served, {} of them from disk",
+                counters.blocks_asked, counters.blocks_from_disk
+            ),
+            Ok(_) => {}
+            Err(error) => eprintln!("{name}: {error}"),
         }
     });
     Ok((stop, thread))
@@ -238,7 +259,7 @@ fn report(done: &Coordinator) {
 
 /// Renders the picture by this process alone and compares.
 fn verify(done: &Coordinator, job: &Job, file: DiskSource) -> Result<(), Box<dyn Error>> {
-    let budget = MemoryBudget::new(outcrop::units::Bytes::mib(256));
+    let budget = MemoryBudget::new(Bytes::mib(256));
     let threads = Threads::One;
     let aside = Renderer::bytes_needed(&job.scene, file.model(), &job.settings, &threads)?;
     let aside = budget.reserve(aside, "the picture")?;
@@ -284,6 +305,16 @@ pub fn work(
         Some(path) => Some(Arc::new(open(path)?) as Arc<dyn BlockSource>),
         None => None,
     };
+    let mut memory = options.memory;
+    let serving = match (&options.serve, &options.model) {
+        (Some(listen), Some(path)) => {
+            let share = Bytes(memory.0 / 4);
+            memory = Bytes(memory.0 - share.0);
+            let offer = Offer { name: &format!("{name}, part of the blocks"), listen, memory: share };
+            Some(serve(options, network, path, connect(options)?, &offer)?)
+        }
+        _ => None,
+    };
     let copy = match &options.keep {
         Some(path) => Some(CopyOptions::new(path, network.worker(&format!("{name}, copy"))?)),
         None => None,
@@ -293,7 +324,7 @@ pub fn work(
         lanes: options.lanes,
         file,
         copy,
-        budget: MemoryBudget::new(options.memory),
+        budget: MemoryBudget::new(memory),
         octree: OctreeOptions::default(),
         remote: RemoteOptions::default(),
         roles: RoleOptions::default(),
@@ -305,12 +336,17 @@ pub fn work(
         }
     };
     let report = run_worker(&*control, &data, connect(options)?, &worker, &follow(interrupt), &mut log)?;
+    if let Some((_, serving)) = serving {
+        // Others may be in the middle of something.
+        let _ = serving.join();
+    }
     println!("{} cells; {} blocks loaded", report.worker.cells, report.trace.blocks_loaded);
     if let Some(remote) = report.remote {
         println!(
-            "blocks from their readers {}, from other readers {}, from disk {}, from the copy {}; damaged {}; {} messages asked for them",
+            "blocks from their readers {}, from other readers {}, from all that hold hot ones {}, from disk {}, from the copy {}; damaged {}; {} messages asked for them",
             remote.from_owner,
             remote.from_other,
+            remote.from_replica,
             remote.from_fallback,
             remote.from_copy,
             remote.damaged,

@@ -34,6 +34,9 @@ network
     --connect HOST:PORT     where the coordinator is
     --hosts FILE            lines `HOST[:PORT] coordinator|worker|reader`
     --node N                this node's line in it, from 0; the variable SLURM_PROCID if not given
+    --serve HOST:PORT       a worker with the model also serves its part of the blocks from memory, here: workers ask each other before
+                            their disks. It counts among --readers, and takes a quarter of --memory
+    --peers                 everything here, and the workers serve each other: there are no readers
     --ship HOST:PORT        the coordinator serves the file, too, here; for workers without it, where there is no reader
     --name NAME             what this node calls itself in the logs of others
     --patience SECONDS      how long to wait for a coordinator, or for any worker (60)
@@ -77,6 +80,10 @@ pub struct Options {
     pub readers: usize,
     /// `--readers`, if it was given.
     pub readers_asked: Option<usize>,
+    /// Where a worker serves blocks.
+    pub serve: Option<String>,
+    /// Whether workers that are started here serve blocks.
+    pub peers: bool,
     /// Where the coordinator serves the file.
     pub ship: Option<String>,
     pub keep: Option<PathBuf>,
@@ -108,6 +115,8 @@ impl Options {
             workers: 3,
             readers: 2,
             readers_asked: None,
+            serve: None,
+            peers: false,
             ship: None,
             keep: None,
             lanes: 1,
@@ -145,6 +154,8 @@ impl Options {
                 "--small" => options.is_small = true,
                 "--workers" => options.workers = arguments.value()?,
                 "--readers" => readers = Some(arguments.value()?),
+                "--serve" => options.serve = Some(arguments.text()?),
+                "--peers" => options.peers = true,
                 "--ship" => options.ship = Some(arguments.text()?),
                 "--keep" => options.keep = Some(arguments.path()?),
                 "--lanes" => options.lanes = arguments.value()?,
@@ -158,7 +169,11 @@ impl Options {
         }
         options.size = size.unwrap_or(options.size);
         options.gears_n = gears_n.unwrap_or(options.gears_n);
-        let alone = if options.role.is_none() { 2 } else { 0 };
+        let alone = match options.role {
+            None if options.peers => options.workers as usize,
+            None => 2,
+            Some(_) => 0,
+        };
         options.readers_asked = readers;
         options.readers = readers.unwrap_or(alone);
         if let Some(path) = hosts {
@@ -170,6 +185,16 @@ impl Options {
         ImageFormat::of_path(&options.output)?;
         if options.workers == 0 || options.lanes == 0 {
             return Err("--workers and --lanes must be at least 1".into());
+        }
+        if options.serve.is_some() && options.model.is_none() {
+            return Err(
+                "--serve: a worker without the model has nothing to serve; name the compiled file".into()
+            );
+        }
+        if options.peers
+            && (options.role.is_some() || readers.is_some_and(|count| count != options.workers as usize))
+        {
+            return Err("--peers: it is for starting everything here, with as many readers as workers; elsewhere, see --serve".into());
         }
         Ok(Some(options))
     }

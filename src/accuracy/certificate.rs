@@ -21,12 +21,10 @@ pub struct Certificate {
     pub geometry: GeometryBounds,
     /// Proven: light that was not followed. In expectation only, with effects that are sampled; see [`CutOffBounds`].
     pub cut_off: CutOffBounds,
-    /// Estimated: the error of finitely many samples, in every metric. That in [`Metric::Flip`] holds what was cut off as well. None if a
+    /// Estimated: the error of finitely many samples, in each metric that was asked for (see
+    /// [`GoalOptions::every_metric`](super::GoalOptions::every_metric)). Empty if a
     /// pixel has a single sample, which says nothing about itself, or the picture is not whole.
-    pub estimates: Option<[Estimate; 3]>,
-    /// The whole error in each metric of [`Metric::ALL`]: proven and estimated parts together, with the certificate's confidence. None
-    /// where there are no estimates.
-    pub error_bounds: Option<[f64; 3]>,
+    pub estimates: Vec<Estimate>,
     /// What some pixels that were sampled again show of the picture's error, where samples had a say in how many there are. None where
     /// sampling is not adaptive, and where there are no estimates.
     pub check: Option<SamplingCheck>,
@@ -125,10 +123,14 @@ pub struct GoalSeconds {
 }
 
 impl Certificate {
-    /// What is known of the whole error in a metric: see [`Certificate::error_bounds`].
+    /// What was estimated in a metric, if it was.
+    pub fn estimate(&self, metric: Metric) -> Option<&Estimate> {
+        self.estimates.iter().find(|estimate| estimate.metric == metric)
+    }
+
+    /// What is known of the whole error in a metric, proven and estimated parts together; None if there is no estimate.
     pub fn error_bound(&self, metric: Metric) -> Option<f64> {
-        let index = Metric::ALL.iter().position(|known| *known == metric)?;
-        Some(self.error_bounds?[index])
+        Some(self.estimate(metric)?.whole)
     }
 }
 
@@ -208,18 +210,17 @@ impl fmt::Display for Certificate {
         let CutOffBounds { rmse, max, in_expectation } = self.cut_off;
         let how = if in_expectation { "proven in expectation" } else { "proven" };
         writeln!(f, "{how}: light cut off adds at most {rmse:.2e} RMSE, {max:.2e} in any pixel")?;
-        match &self.estimates {
-            Some(estimates) => {
-                for Estimate { metric, value, upper } in estimates {
-                    let percent = 100.0 * self.confidence;
-                    writeln!(
-                        f,
-                        "estimated: {} {value:.2e}, below {upper:.2e} with {percent} %",
-                        metric.name()
-                    )?;
-                }
+        if self.estimates.is_empty() {
+            writeln!(f, "no estimate of the error of sampling")?;
+        }
+        for Estimate { metric, value, upper, whole } in &self.estimates {
+            let percent = 100.0 * self.confidence;
+            let name = metric.name();
+            write!(f, "estimated: {name} {value:.2e}, below {upper:.2e} with {percent} %")?;
+            match metric {
+                Metric::Flip => writeln!(f, ", what was cut off included")?,
+                _ => writeln!(f, "; with what was cut off below {whole:.2e}")?,
             }
-            None => writeln!(f, "no estimate of the error of sampling")?,
         }
         if let Some(SamplingCheck { pixels, samples, bias }) = self.check {
             writeln!(

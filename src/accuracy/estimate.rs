@@ -20,8 +20,10 @@ pub struct Estimate {
     pub metric: Metric,
     /// The best guess.
     pub value: f64,
-    /// Above the error with the certificate's confidence.
+    /// Above the error of sampling with the certificate's confidence; in [`Metric::Flip`] what was cut off is in it.
     pub upper: f64,
+    /// Above the whole error: what is proven of what was cut off and what is estimated, together.
+    pub whole: f64,
 }
 
 /// What is known about a pixel.
@@ -132,18 +134,20 @@ pub(super) fn estimate(
     pixels_total: u64,
     confidence: f64,
 ) -> Estimate {
-    match metric {
-        Metric::Rmse => Estimate { metric, value: squares.value.sqrt(), upper: squares.upper.sqrt() },
+    let (value, upper) = match metric {
+        Metric::Rmse => (squares.value.sqrt(), squares.upper.sqrt()),
         Metric::Max => {
             let (mut value, mut deviation) = (0.0f64, 0.0f64);
             for pixel in pixels {
                 value = pixel.half_difference.iter().fold(value, |most, x| most.max(f64::from(x.abs())));
                 deviation = deviation.max(pixel.deviation);
             }
-            Estimate { metric, value, upper: max_quantile(pixels_total, confidence) * deviation }
+            (value, max_quantile(pixels_total, confidence) * deviation)
         }
         Metric::Flip => flip(pixels, width as usize, squares, pixels_total, confidence),
-    }
+    };
+    let cut = cut_off(metric, pixels.iter().map(|pixel| pixel.lost)).unwrap_or(0.0);
+    Estimate { metric, value, upper, whole: together(metric, upper, cut, pixels, pixels_total) }
 }
 
 /// The picture beside noisier ones: what FLIP makes of noise as large as the error, in this picture.
@@ -157,7 +161,7 @@ fn flip(
     squares: MeanSquare,
     pixels_total: u64,
     confidence: f64,
-) -> Estimate {
+) -> (f64, f64) {
     let quantile = normal_quantile(confidence);
     let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
     let picture = Seen::of(&means, width);
@@ -179,7 +183,7 @@ fn flip(
         spread * quantile * student_widening(blocks.len())
     };
     let widened = mean(&map(squares.upper, Signs::Kept)) / mean(&maps[0]).max(f64::MIN_POSITIVE);
-    Estimate { metric: Metric::Flip, value, upper: (value + margin) * widened.max(1.0) }
+    (value, (value + margin) * widened.max(1.0))
 }
 
 /// Which sign noise has.
@@ -243,13 +247,7 @@ pub(super) fn cut_off(metric: Metric, lost: impl ExactSizeIterator<Item = f64>) 
 /// their squares add up, and not they: `|n - b|^2 = |n|^2 + |b|^2 - 2 n b`, where `n b` has the mean 0 and, as pixels are independent of
 /// each other, at most the variance `9 sum B^2 s^2` for what pixels lack, `B`, and their deviations, `s`, in any of three channels. It is
 /// allowed [`CROSS_QUANTILE`] deviations.
-pub(super) fn together(
-    metric: Metric,
-    sampling: f64,
-    cut: f64,
-    pixels: &[Sampled],
-    pixels_total: u64,
-) -> f64 {
+fn together(metric: Metric, sampling: f64, cut: f64, pixels: &[Sampled], pixels_total: u64) -> f64 {
     match metric {
         Metric::Flip => sampling,
         Metric::Max => sampling + cut,
@@ -396,6 +394,38 @@ mod tests {
             // What agrees gets its share of what is lacking.
             assert_eq!(noisy[0] != [0.5; 3], factor > 1.0);
         }
+    }
+
+    /// Pictures that lack light, as much as is said or less, and have noise: squares add up, and what is not proven of that holds.
+    #[test]
+    fn what_is_cut_off_and_noise_add_up_in_squares() {
+        let mut normal = noise();
+        let (mut held, mut below_sum) = (0, 0);
+        for run in 0..RUNS {
+            let (mut sum, mut pixels) = (0.0, Vec::new());
+            for index in 0..SIDE * SIDE {
+                // Most of it in few pixels; noise there, too.
+                let lost = if index % 16 == run % 16 { 0.04 } else { 0.001 };
+                let sigma = if index % 8 == 0 { 0.03 } else { 0.005 };
+                let errors = [(); 3].map(|()| sigma * normal() - lost);
+                sum += errors.iter().map(|error| error * error).sum::<f64>() / 3.0;
+                pixels.push(Sampled { mean: [0.0; 3], half_difference: [0.0; 3], deviation: sigma, lost });
+            }
+            let count = f64::from(SIDE * SIDE);
+            let sampling = (pixels.iter().map(|pixel| pixel.deviation.powi(2)).sum::<f64>() / count).sqrt();
+            let cut = cut_off(Metric::Rmse, pixels.iter().map(|pixel| pixel.lost)).unwrap();
+            let whole = together(Metric::Rmse, 1.03 * sampling, cut, &pixels, u64::from(SIDE * SIDE));
+            held += u32::from((sum / count).sqrt() <= whole);
+            below_sum += u32::from(whole < 0.85 * (sampling + cut));
+            // A part that stands for a larger picture says much the same.
+            let part: Vec<Sampled> = pixels[..2048].to_vec();
+            let of_part = together(Metric::Rmse, 1.03 * sampling, cut, &part, u64::from(SIDE * SIDE));
+            assert!((of_part / whole - 1.0).abs() < 1e-3);
+        }
+        assert_eq!((held, below_sum), (RUNS, RUNS));
+        assert_eq!(sampling_room(Metric::Rmse, 5.0, 3.0), 4.0);
+        assert_eq!(sampling_room(Metric::Max, 5.0, 3.0), 2.0);
+        assert_eq!(sampling_room(Metric::Rmse, 1.0, 2.0), 0.0);
     }
 
     #[test]

@@ -35,12 +35,15 @@ pub struct GoalOptions {
     /// Largest distance per axis between a vertex of the source and the compiled one, if the caller knows it
     /// ([`CompileReport::error_bound`](crate::compile::CompileReport::error_bound)); the file itself records only how positions are held.
     pub vertex_error: Option<f64>,
+    /// Whether the certificate says something about the error in FLIP also where the goal is about another metric: that takes about two
+    /// microseconds for each pixel, as long as a few rays.
+    pub every_metric: bool,
 }
 
 impl GoalOptions {
     /// `goal` at 95 % confidence with up to 4096 samples per pixel.
     pub fn new(goal: Goal) -> GoalOptions {
-        GoalOptions { goal, confidence: 0.95, samples_max: 4096, vertex_error: None }
+        GoalOptions { goal, confidence: 0.95, samples_max: 4096, vertex_error: None, every_metric: false }
     }
 
     /// Checks every field.

@@ -2,9 +2,7 @@
 //!
 //! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
 
-use super::estimate::{
-    Estimate, MeanSquare, Sampled, cut_off, estimate, flip_cut_off, mean_square, together,
-};
+use super::estimate::{Estimate, MeanSquare, Sampled, cut_off, estimate, flip_cut_off, mean_square};
 use super::{Metric, check};
 use crate::render::probe::{Level, ProbedCell, ProbedPixel};
 
@@ -42,12 +40,6 @@ impl Prediction<'_> {
         let probed: Vec<(f64, f64)> = squares.zip(chances).collect();
         let squares = MeanSquare::expected(&probed, self.pixels_total, self.confidence);
         estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
-    }
-
-    /// The whole error to be expected at such a threshold.
-    pub fn error_bound(&self, metric: Metric, deviation: f64) -> f64 {
-        let (sampling, cut) = (self.estimate(metric, deviation).upper, self.cut_off(metric, deviation));
-        together(metric, sampling, cut, &self.sampled(deviation), self.pixels_total)
     }
 
     /// What FLIP makes of what is cut off at a threshold.

@@ -4,12 +4,10 @@ use std::time::{Duration, Instant};
 
 use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalCounters, GoalSeconds, Verdict};
 use super::check::{self, SamplingCheck};
-use super::estimate::{MeanSquare, Sampled, cut_off, estimate, max_quantile, sampling_room, together};
+use super::estimate::{MeanSquare, Sampled, cut_off, estimate, max_quantile, sampling_room};
 use super::predict::Prediction;
 use super::time::{self, Steering};
-use super::{
-    Estimate, Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs,
-};
+use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs};
 use crate::LazyOctree;
 use crate::budget::MemoryBudget;
 use crate::compile::{Control, Threads};
@@ -242,8 +240,7 @@ impl Job<'_, '_> {
                 break;
             }
             let cut = certificate.cut_off.of(metric).unwrap_or(0.0);
-            let estimates = certificate.estimates.iter().flatten();
-            let estimated = estimates.filter(|of| of.metric == metric).map(|of| of.upper).sum::<f64>();
+            let estimated = certificate.estimate(metric).map_or(f64::INFINITY, |estimate| estimate.upper);
             if !is_cancelled {
                 certificate.verdict = if reached <= bound {
                     Verdict::Met
@@ -297,33 +294,29 @@ impl Job<'_, '_> {
         };
         let most = cut_off_share(metric) * bound;
         let mut cut_before = f64::INFINITY;
+        // Few pixels tell the size of what is cut off.
         for _ in 0..8 {
             let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
             let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
-            let mut probe = self.probe(&renderer)?;
+            let probe = self.probe(&renderer, 4)?;
             let first = self.prediction(&probe);
             let cut = match metric {
                 Metric::Flip => first.flip_cut_off(f64::INFINITY),
                 _ => first.cut_off(metric, f64::INFINITY),
             };
-            // What work budgets cut does not shrink.
-            if cut > most && cut < 0.95 * cut_before {
-                self.count(&probe);
-                // FLIP grows with differences to the power of 0.7.
-                let power = if metric == Metric::Flip { 1.0 / 0.7 } else { 1.0 };
-                let step = libm::pow(most / cut, power);
-                contribution_bound *= step.clamp(1.0 / 64.0, 0.7);
-                cut_before = cut;
-                continue;
-            }
-            let deviation = self.choose_deviation(&mut probe, metric, bound);
             self.count(&probe);
-            return Ok((contribution_bound, deviation?));
+            // What work budgets cut does not shrink.
+            if cut <= most || cut > 0.95 * cut_before {
+                break;
+            }
+            // FLIP grows with differences to the power of 0.7.
+            let power = if metric == Metric::Flip { 1.0 / 0.7 } else { 1.0 };
+            contribution_bound *= libm::pow(most / cut, power).clamp(1.0 / 64.0, 0.6);
+            cut_before = cut;
         }
-        // Eight reductions and it still shrinks: go on with what there is; the certificate tells.
         let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
         let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
-        let mut probe = self.probe(&renderer)?;
+        let mut probe = self.probe(&renderer, 1)?;
         let deviation = self.choose_deviation(&mut probe, metric, bound);
         self.count(&probe);
         Ok((contribution_bound, deviation?))
@@ -343,7 +336,7 @@ impl Job<'_, '_> {
         }
         let mut high = first.deviation_max();
         let keeps = |prediction: &Prediction<'_>, deviation: f64| {
-            prediction.error_bound(metric, deviation) <= AIM * bound
+            prediction.estimate(metric, deviation).whole <= AIM * bound
         };
         let samples_max = self.options.samples_max;
         // From the first samples alone to ever more, until the bound is kept; then back to the highest threshold that keeps it.
@@ -376,7 +369,7 @@ impl Job<'_, '_> {
         let settings = self.probe_settings();
         let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
         let begun = Instant::now();
-        let mut probe = self.probe(&renderer)?;
+        let mut probe = self.probe(&renderer, 1)?;
         // Ever more samples, until choosing has had its share of the time.
         let mut deviation = self.prediction(&probe).deviation_max();
         let samples_max = self.options.samples_max;
@@ -395,7 +388,9 @@ impl Job<'_, '_> {
         let prediction = self.prediction(&probe);
         // The certificate takes time, too: FLIP, as much per pixel as it does here, and a check, its share of the samples.
         let closing = Instant::now();
-        prediction.estimate(Metric::Flip, deviation);
+        if self.is_asked(Metric::Flip) {
+            prediction.estimate(Metric::Flip, deviation);
+        }
         let share = self.pixels_total() as f64 / prediction.pixels() as f64;
         let left = limit.saturating_sub(closing.elapsed().mul_f64(share) + self.start.elapsed());
         let until = self.start.elapsed() + left.div_f64(1.0 + check::share(self.pixels_total()));
@@ -473,8 +468,14 @@ impl Job<'_, '_> {
         }
     }
 
-    fn probe<'r>(&mut self, renderer: &'r Renderer<'_>) -> Result<Probe<'r, SceneTracer<'r>>, RenderError> {
-        let share = (self.pixels_total() / PROBE_SHARE).clamp(16, u64::from(PROBE_PIXELS)) as u32;
+    /// A probe of the usual number of pixels, or of one in so many of these.
+    fn probe<'r>(
+        &mut self,
+        renderer: &'r Renderer<'_>,
+        one_in: u32,
+    ) -> Result<Probe<'r, SceneTracer<'r>>, RenderError> {
+        let usual = (self.pixels_total() / PROBE_SHARE).clamp(16, u64::from(PROBE_PIXELS)) as u32;
+        let share = (usual / one_in).max(usual.min(128));
         let probe = renderer.probe(share, AdaptiveSampling::SAMPLES_MIN, &mut || ask(self.progress))?;
         probe.ok_or(RenderError::Cancelled)
     }
@@ -541,19 +542,16 @@ impl Job<'_, '_> {
         let is_known = is_whole && !statistics.is_empty() && statistics.iter().all(|pixel| pixel.samples > 1);
         let pixels = if is_known { sampled(&image.film) } else { Vec::new() };
         let known = if is_known { self.squares(image, &knobs, &pixels)? } else { Known::Nothing };
-        let (estimates, error_bounds, check) = match known {
+        let (estimates, check) = match known {
             Known::Squares(squares, check) => {
                 let (width, total) = (image.film.width(), self.pixels_total());
                 let confidence = self.options.confidence;
+                let asked = Metric::ALL.into_iter().filter(|metric| self.is_asked(*metric));
                 let estimates =
-                    Metric::ALL.map(|metric| estimate(metric, &pixels, width, squares, total, confidence));
-                let bounds = estimates.map(|Estimate { metric, upper, .. }| {
-                    let cut = cut_off(metric, lost()).unwrap_or(0.0);
-                    together(metric, upper, cut, &pixels, total)
-                });
-                (Some(estimates), Some(bounds), check)
+                    asked.map(|metric| estimate(metric, &pixels, width, squares, total, confidence));
+                (estimates.collect(), check)
             }
-            Known::Nothing | Known::Cancelled => (None, None, None),
+            Known::Nothing | Known::Cancelled => (Vec::new(), None),
         };
         self.seconds.checking += begun.elapsed().as_secs_f64();
         let is_cancelled = !is_whole || matches!(known, Known::Cancelled);
@@ -573,7 +571,6 @@ impl Job<'_, '_> {
                 in_expectation: self.has_sampled_effects(),
             },
             estimates,
-            error_bounds,
             check,
             confidence: self.options.confidence,
             samples_mean: statistics.iter().map(|pixel| f64::from(pixel.samples)).sum::<f64>() / count,
@@ -581,6 +578,12 @@ impl Job<'_, '_> {
             counters: self.counters,
             seconds: GoalSeconds { total: self.start.elapsed().as_secs_f64(), ..self.seconds },
         })
+    }
+
+    /// Whether the certificate is to say something about a metric.
+    fn is_asked(&self, metric: Metric) -> bool {
+        let goal = matches!(self.options.goal, Goal::MaxError { metric: Metric::Flip, .. });
+        metric != Metric::Flip || goal || self.options.every_metric
     }
 
     /// Whether any effect chooses its rays by luck.

@@ -10,7 +10,7 @@ use crate::render::RenderSettings;
 use crate::scene::Scene;
 
 /// The version of these messages; the first thing that a node says.
-pub const MESSAGE_VERSION: u16 = 1;
+pub const MESSAGE_VERSION: u16 = 2;
 
 /// What a node does in a cluster beside coordinating.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -137,6 +137,9 @@ pub enum Message {
     Block {
         /// Which.
         block: u32,
+        /// Whom to ask for it the next time, counted on from the first of [`readers_of`](super::readers_of) and round: above 0 for a block that
+        /// very many ask for, so that the other readers come to hold it, too.
+        turn: u8,
     },
     /// Reader to worker: it cannot give a block.
     NoBlock {

@@ -21,6 +21,8 @@ pub struct ReaderCounters {
     pub blocks_from_disk: u64,
     /// Blocks that could not be given.
     pub blocks_failed: u64,
+    /// Of these answers, those that sent the worker to another reader for the next time, because the block is asked for so often.
+    pub blocks_hot: u64,
     /// Bytes of blocks sent.
     pub bytes_sent: u64,
     /// Bytes of the file sent to nodes that do not have it.
@@ -33,7 +35,8 @@ pub struct ReaderCounters {
 ///
 /// Workers decide which blocks they ask which reader for (see [`readers_of`](super::readers_of)); a reader keeps what it was asked
 /// for, the latest first, within its memory. So each block that a picture needs is read from disk once in the whole
-/// cluster, as long as the readers' memories together hold it.
+/// cluster, as long as the readers' memories together hold it. A block that is asked for much more often than others is *hot*: those who
+/// get it are told to ask the readers in turn for it from then on, so that all come to hold it and share the work.
 pub struct Reader {
     file: Arc<dyn ModelFile>,
     name: String,
@@ -42,10 +45,12 @@ pub struct Reader {
     coordinator: Option<PeerId>,
     options: RoleOptions,
     last_alive: Duration,
-    held: HashMap<u32, Box<[u8]>>,
+    held: HashMap<u32, Held>,
     /// In the order of their arrival.
     order: VecDeque<u32>,
     held_bytes: u64,
+    /// Requests for all blocks that are held.
+    asks_held: u64,
     memory: Reservation,
     counters: ReaderCounters,
     buffer: Vec<u8>,
@@ -55,6 +60,18 @@ pub struct Reader {
     finished: Option<Duration>,
     is_over: bool,
 }
+
+/// A block in memory.
+struct Held {
+    bytes: Box<[u8]>,
+    /// How often it was asked for since it is here.
+    asks: u64,
+}
+
+/// A block is hot from so many requests on, if it is also asked for so many times as often as held blocks are on average. Each worker
+/// keeps what it uses in its own cache, so most blocks are asked for a few times.
+const HOT_ASKS_MIN: u64 = 16;
+const HOT_FACTOR: u64 = 4;
 
 /// When the picture is done, workers may be in the middle of a tile that they will throw away; so long a reader serves on.
 const LINGER: Duration = Duration::from_secs(2);
@@ -84,6 +101,7 @@ impl Reader {
             held: HashMap::new(),
             order: VecDeque::new(),
             held_bytes: 0,
+            asks_held: 0,
             memory,
             counters: ReaderCounters::default(),
             buffer: Vec::new(),
@@ -183,9 +201,17 @@ impl Reader {
 
     fn block_frame(&mut self, block: u32) -> Vec<u8> {
         self.counters.blocks_asked += 1;
-        if let Some(bytes) = self.held.get(&block) {
+        let held_count = self.held.len() as u64;
+        if let Some(Held { bytes, asks }) = self.held.get_mut(&block) {
+            *asks += 1;
+            self.asks_held += 1;
+            // Against the average, without a division.
+            let is_hot = *asks >= HOT_ASKS_MIN && *asks * held_count > HOT_FACTOR * self.asks_held;
             self.counters.bytes_sent += bytes.len() as u64;
-            return Message::Block { block }.frame_with(bytes);
+            self.counters.blocks_hot += u64::from(is_hot);
+            // Each time the next one.
+            let turn = if is_hot { (*asks % 256) as u8 } else { 0 };
+            return Message::Block { block, turn }.frame_with(bytes);
         }
         if let Err(error) = self.file.read_block(BlockId(block), &mut self.buffer) {
             self.counters.blocks_failed += 1;
@@ -193,7 +219,7 @@ impl Reader {
         }
         self.counters.blocks_from_disk += 1;
         self.counters.bytes_sent += self.buffer.len() as u64;
-        let frame = Message::Block { block }.frame_with(&self.buffer);
+        let frame = Message::Block { block, turn: 0 }.frame_with(&self.buffer);
         self.keep(block);
         frame
     }
@@ -207,12 +233,14 @@ impl Reader {
         while self.held_bytes + bytes > self.memory.bytes().0 {
             let Some(oldest) = self.order.pop_front() else { break };
             if let Some(gone) = self.held.remove(&oldest) {
-                self.held_bytes -= gone.len() as u64;
+                self.held_bytes -= gone.bytes.len() as u64;
+                self.asks_held -= gone.asks;
             }
         }
         self.held_bytes += bytes;
         self.order.push_back(block);
-        self.held.insert(block, self.buffer.as_slice().into());
+        self.asks_held += 1;
+        self.held.insert(block, Held { bytes: self.buffer.as_slice().into(), asks: 1 });
     }
 
     fn file_frame(&mut self, offset: u64, length: u32) -> Vec<u8> {

@@ -7,6 +7,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex, MutexGuard};
+use smallvec::SmallVec;
 
 use super::message::{BLOCKS_MAX, Message, RANGE_BYTES_MAX};
 use super::model_file::readers_of;
@@ -56,6 +57,8 @@ pub struct RemoteCounters {
     pub from_owner: u64,
     /// Blocks that came from another reader, because that one was gone.
     pub from_other: u64,
+    /// Blocks that came from another reader, because so many ask for them that all readers hold them.
+    pub from_replica: u64,
     /// Blocks that came from the node's own disk, because no reader gave them.
     pub from_fallback: u64,
     /// Blocks that came from the node's own copy of the file, once that was complete.
@@ -74,6 +77,7 @@ pub struct RemoteCounters {
 struct Counters {
     from_owner: AtomicU64,
     from_other: AtomicU64,
+    from_replica: AtomicU64,
     from_fallback: AtomicU64,
     from_copy: AtomicU64,
     bytes_received: AtomicU64,
@@ -127,8 +131,22 @@ struct State {
     wanted: HashMap<u32, Wanted>,
     /// Bytes of blocks that were asked for in advance and have not been used.
     ahead_bytes: u64,
+    /// Blocks that are asked for very often, and whose turn it is to be asked for them; see [`Message::Block`].
+    turns: HashMap<u32, u8>,
     /// Whether a thread is receiving for all.
     is_receiving: bool,
+}
+
+impl State {
+    /// Whom to ask for a block, the first one first.
+    fn order(&self, block: u32) -> SmallVec<[usize; 8]> {
+        let mut order: SmallVec<[usize; 8]> = readers_of(block, self.links.len()).collect();
+        if let (Some(turn), false) = (self.turns.get(&block), order.is_empty()) {
+            let turn = usize::from(*turn) % order.len();
+            order.rotate_left(turn);
+        }
+        order
+    }
 }
 
 /// A [`BlockSource`] whose blocks come from readers.
@@ -275,8 +293,8 @@ impl RemoteSource {
             {
                 continue;
             }
-            let owner = readers_of(block.0, state.links.len()).next();
-            let Some(peer) = owner.and_then(|owner| state.links[owner].peer) else { continue };
+            let first = state.order(block.0).first().copied();
+            let Some(peer) = first.and_then(|first| state.links[first].peer) else { continue };
             let deadline = Instant::now() + self.options.answer_time_max;
             state.ahead_bytes += bytes;
             state.wanted.insert(block.0, Wanted { peer, outcome: Outcome::Pending, waiting: 0, deadline });
@@ -299,6 +317,7 @@ impl RemoteSource {
         RemoteCounters {
             from_owner: get(&self.counters.from_owner),
             from_other: get(&self.counters.from_other),
+            from_replica: get(&self.counters.from_replica),
             from_fallback: get(&self.counters.from_fallback),
             from_copy: get(&self.counters.from_copy),
             bytes_received: get(&self.counters.bytes_received),
@@ -322,10 +341,20 @@ impl RemoteSource {
 
     /// Asks the readers for a block, one after the other; whether one gave it.
     fn ask_readers(&self, block: BlockId, into: &mut Vec<u8>) -> bool {
-        let reader_count = self.state.lock().links.len();
-        for (nth, place) in readers_of(block.0, reader_count).enumerate() {
+        let (order, owner) = {
+            let state = self.state.lock();
+            (state.order(block.0), readers_of(block.0, state.links.len()).next())
+        };
+        for (nth, place) in order.iter().copied().enumerate() {
             if let Some(bytes) = self.ask(place, block.0) {
-                count(if nth == 0 { &self.counters.from_owner } else { &self.counters.from_other }, 1);
+                let from = if Some(place) == owner {
+                    &self.counters.from_owner
+                } else if nth == 0 {
+                    &self.counters.from_replica
+                } else {
+                    &self.counters.from_other
+                };
+                count(from, 1);
                 into.extend_from_slice(&bytes);
                 return true;
             }
@@ -415,7 +444,7 @@ impl RemoteSource {
     fn handle(&self, state: &mut State, event: TransportEvent) {
         match event {
             TransportEvent::Frame { peer, bytes } => match Message::parse(&bytes) {
-                Ok((Message::Block { block }, stored)) => {
+                Ok((Message::Block { block, turn }, stored)) => {
                     let Some(wanted) = state.wanted.get_mut(&block).filter(|wanted| wanted.peer == peer)
                     else {
                         // Late, after it was asked elsewhere.
@@ -428,6 +457,11 @@ impl RemoteSource {
                     if is_sound {
                         count(&self.counters.bytes_received, stored.len() as u64);
                         wanted.outcome = Outcome::Here(Arc::new(stored.to_vec()));
+                        if turn > 0 {
+                            state.turns.insert(block, turn);
+                        } else {
+                            state.turns.remove(&block);
+                        }
                     } else {
                         count(&self.counters.damaged, 1);
                         wanted.outcome = Outcome::Damaged;
@@ -560,13 +594,33 @@ impl BlockSource for RemoteSource {
             });
         }
         let start = Instant::now();
+        let mut is_damaged_here = false;
         loop {
             if self.read_copy(block, into) || self.ask_readers(block, into) {
                 return Ok(());
             }
             if let Some(fallback) = &self.fallback {
-                count(&self.counters.from_fallback, 1);
-                return fallback.read_block(block, into);
+                let read = fallback.read_block(block, into);
+                let is_sound = read.is_ok()
+                    && self.model.entry(block).is_some_and(|entry| checksum(into) == entry.checksum);
+                if is_sound {
+                    count(&self.counters.from_fallback, 1);
+                    return Ok(());
+                }
+                // Damaged on this disk: a reader that comes back may still give it. If none does, whoever decodes the block says what
+                // is wrong with it.
+                let may_come = !self.state.lock().links.is_empty();
+                if !may_come
+                    || start.elapsed() >= self.options.patience
+                    || self.is_abandoned.load(Ordering::Relaxed)
+                {
+                    return read;
+                }
+                count(&self.counters.damaged, u64::from(!is_damaged_here));
+                is_damaged_here = true;
+                into.clear();
+                std::thread::sleep(AGAIN);
+                continue;
             }
             if start.elapsed() >= self.options.patience || self.is_abandoned.load(Ordering::Relaxed) {
                 let reason = "no reader gives it, and this node does not have the file".to_owned();

@@ -4,6 +4,7 @@
 mod compiled;
 mod copy;
 mod hostile;
+mod hot;
 mod messages;
 #[path = "../support/numbers.rs"]
 mod numbers;

@@ -37,7 +37,7 @@ fn messages() -> Vec<(Message, Vec<u8>)> {
     let tail = (0..100).collect::<Vec<u8>>();
     let mut all: Vec<_> = plain.into_iter().map(|message| (message, vec![])).collect();
     all.push((Message::Result { lane: 1, what, is_last: true, micros: 5, work: 0.5 }, tail.clone()));
-    all.push((Message::Block { block: 9 }, tail.clone()));
+    all.push((Message::Block { block: 9, turn: 200 }, tail.clone()));
     all.push((Message::FilePart { offset: 0, file_bytes: 10 }, tail));
     all
 }
