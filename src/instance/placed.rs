@@ -89,6 +89,20 @@ impl Placed {
         })
     }
 
+    /// A box around all vertices on their way to where they are in `end`.
+    pub fn bounds_to(&self, end: &Placed) -> Aabb {
+        let mut bounds = self.bounds;
+        bounds.merge(&end.bounds);
+        // Numbers of maps in between are off by two roundings of the numbers at the ends.
+        let (from, to) = (self.map.permanent(self.reach), end.map.permanent(self.reach));
+        for axis in 0..3 {
+            let pad = gamma(16) * (from[axis] + to[axis]);
+            bounds.min[axis] -= pad;
+            bounds.max[axis] += pad;
+        }
+        bounds
+    }
+
     /// The corners of a triangle in the world, turned around if the instance is mirrored.
     #[inline(always)]
     pub fn vertices(&self, [a, b, c]: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
