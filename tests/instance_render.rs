@@ -128,7 +128,7 @@ fn of_instances(
     threads: usize,
 ) -> RenderedImage {
     let budget = MemoryBudget::new(Bytes::mib(128));
-    let options = OctreeOptions { tracers_max: threads as u32, ..options.clone() };
+    let options = OctreeOptions { tracers_max: threads as u32, ..*options };
     let instances = Instances::open(sources, places(), &budget, &options).unwrap();
     let renderer = Renderer::over_instances(&instances, &scene(), settings, &budget).unwrap();
     renderer.render(&Threads::Count(threads), &mut |_| Control::Continue).unwrap()
@@ -164,9 +164,9 @@ fn nothing_but_the_scene_shows() {
     };
     let base = OctreeOptions::default();
     let combinations = [
-        (4 << 10, OctreeOptions { slots_max: Some(2), ..base.clone() }, 2, 32),
-        (16 << 10, OctreeOptions { simd: Some(SimdLevel::Portable), ..base.clone() }, 1, 16),
-        (4 << 10, OctreeOptions { leaf_layout: LeafLayout::Indexed, ..base.clone() }, 3, 8),
+        (4 << 10, OctreeOptions { slots_max: Some(2), ..base }, 2, 32),
+        (16 << 10, OctreeOptions { simd: Some(SimdLevel::Portable), ..base }, 1, 16),
+        (4 << 10, OctreeOptions { leaf_layout: LeafLayout::Indexed, ..base }, 3, 8),
     ];
     for (block_bytes, options, threads, tile_size) in combinations {
         let sources: Vec<_> = models.iter().map(|mesh| source(mesh, block_bytes)).collect();

@@ -83,11 +83,9 @@ impl Affine {
         if !self.rows.iter().flatten().all(|x| x.is_finite()) {
             return Err("a number of its map is not finite");
         }
-        // Written so that NaN fails.
-        if !(self.orientation().abs() > 0.0) {
-            return Err("its map is flat: it has no inverse");
-        }
-        Ok(())
+        // NaN, of a row of zeros, fails.
+        let is_flat = self.orientation() == 0.0 || self.orientation().is_nan();
+        if is_flat { Err("its map is flat: it has no inverse") } else { Ok(()) }
     }
 
     /// A number with the sign of the matrix' determinant: below 0 if the map mirrors.

@@ -103,10 +103,7 @@ impl Instances {
             let of_rest = u128::from(spare) * (all_blocks - own_blocks) / all_blocks.max(1);
             let aside = Bytes(least.saturating_add(of_rest as u64).min(budget.available().0));
             let set_aside = budget.reserve(aside, "the other models of the scene")?;
-            octrees.push(
-                LazyOctree::open(Arc::clone(source), budget, options.clone())
-                    .map_err(|error| failed(error))?,
-            );
+            octrees.push(LazyOctree::open(Arc::clone(source), budget, *options).map_err(failed)?);
             drop(set_aside);
         }
         drop(own);

@@ -63,8 +63,7 @@ impl Placed {
         });
         let mut bounds = Aabb::EMPTY;
         if !model.is_empty() {
-            for axis in 0..3 {
-                let [a, b, c, shift] = map.rows()[axis];
+            for (axis, [a, b, c, shift]) in map.rows().into_iter().enumerate() {
                 let (mut low, mut high) = (shift, shift);
                 for (factor, k) in [(a, 0), (b, 1), (c, 2)] {
                     let (x, y) = (factor * model.min[k], factor * model.max[k]);

@@ -46,6 +46,7 @@ pub(crate) trait RayQuery {
 }
 
 /// A tracer, and readers of attributes if the picture needs any. Which one it is is asked once per call.
+#[expect(clippy::large_enum_variant, reason = "there is one for each thread")]
 pub(crate) enum SceneTracer<'o> {
     Model {
         tracer: Tracer<'o>,
