@@ -13,7 +13,7 @@ use outcrop::model::MaterialRecord;
 use outcrop::octree::{LeafLayout, OctreeOptions};
 use outcrop::procedural::Icosphere;
 use outcrop::render::{RenderSettings, RenderedImage, Renderer, Threads};
-use outcrop::scene::{Camera, Environment, Finish, Light, LightShape, Scene};
+use outcrop::scene::{Camera, Effect, EffectSet, Environment, Finish, Light, LightShape, Scene};
 use outcrop::simd::SimdLevel;
 use outcrop::source::{DiskSource, MemorySource};
 use outcrop::units::{Bytes, TriangleId};
@@ -128,7 +128,7 @@ fn of_instances(
     threads: usize,
 ) -> RenderedImage {
     let budget = MemoryBudget::new(Bytes::mib(128));
-    let options = OctreeOptions { tracers_max: threads as u32, ..options.clone() };
+    let options = OctreeOptions { tracers_max: threads as u32, ..*options };
     let instances = Instances::open(sources, places(), &budget, &options).unwrap();
     let renderer = Renderer::over_instances(&instances, &scene(), settings, &budget).unwrap();
     renderer.render(&Threads::Count(threads), &mut |_| Control::Continue).unwrap()
@@ -164,9 +164,9 @@ fn nothing_but_the_scene_shows() {
     };
     let base = OctreeOptions::default();
     let combinations = [
-        (4 << 10, OctreeOptions { slots_max: Some(2), ..base.clone() }, 2, 32),
-        (16 << 10, OctreeOptions { simd: Some(SimdLevel::Portable), ..base.clone() }, 1, 16),
-        (4 << 10, OctreeOptions { leaf_layout: LeafLayout::Indexed, ..base.clone() }, 3, 8),
+        (4 << 10, OctreeOptions { slots_max: Some(2), ..base }, 2, 32),
+        (16 << 10, OctreeOptions { simd: Some(SimdLevel::Portable), ..base }, 1, 16),
+        (4 << 10, OctreeOptions { leaf_layout: LeafLayout::Indexed, ..base }, 3, 8),
     ];
     for (block_bytes, options, threads, tile_size) in combinations {
         let sources: Vec<_> = models.iter().map(|mesh| source(mesh, block_bytes)).collect();
@@ -202,6 +202,103 @@ fn the_next_frame_loads_nothing_again() {
     let third = frame(0.0);
     assert_eq!(third.report.trace.blocks_loaded, 0);
     assert_eq!(third.film.pixels(), first.film.pixels());
+}
+
+/// A glowing square that moves by its own width: the longer it is before a place, the brighter that is.
+#[test]
+fn what_moves_while_the_shutter_is_open_is_blurred() {
+    let square = Mesh::new(
+        Vertices::Float32(vec![[0.0, -2.0, 0.0], [1.0, -2.0, 0.0], [1.0, 2.0, 0.0], [0.0, 2.0, 0.0]]),
+        vec![[0, 1, 2], [0, 2, 3]],
+    );
+    let glow = MaterialRecord { diffuse: [0.0; 3], emission: [1.0; 3], ..MaterialRecord::default() };
+    let sources = [source(&Mesh { records: vec![glow], ..square }, 4 << 10)];
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let at = |x: f64| Affine::translation([x, 0.0, 0.0]);
+    let places = vec![Instance { model: 0, map: at(0.0) }, Instance { model: 0, map: at(2.5) }];
+    let options = OctreeOptions { tracers_max: 2, ..Default::default() };
+    let mut instances = Instances::open(&sources, places, &budget, &options).unwrap();
+    // Three units across; 30 pixels.
+    let camera = Camera::orthographic([1.5, 0.0, 5.0], [1.5, 0.0, 0.0], [0.0, 1.0, 0.0], 1.0).unwrap();
+    let scene = Scene::new(camera);
+    let settings = RenderSettings { samples_per_pixel: 256, ..RenderSettings::new(30, 10) };
+    let render = |instances: &Instances, settings: &RenderSettings, threads: usize| {
+        let renderer = Renderer::over_instances(instances, &scene, settings, &budget).unwrap();
+        renderer.render(&Threads::Count(threads), &mut |_| Control::Continue).unwrap()
+    };
+    let rest = render(&instances, &settings, 1);
+    assert!(!rest.report.plan.has(Effect::MotionBlur) && rest.report.effects.shutter_rays == 0);
+    instances.move_while_open(&[(0, at(1.0))]).unwrap();
+    let blurred = render(&instances, &settings, 1);
+    assert!(blurred.report.plan.explain().contains("motion blur: instances move"));
+    assert_eq!(blurred.report.effects.shutter_rays, blurred.report.effects.samples);
+    for column in 0..30u32 {
+        let x = (f64::from(column) + 0.5) / 10.0;
+        // It is there from the time when its right border has come until its left one has.
+        let share = match x {
+            x if x < 1.0 => x,
+            x if x < 2.0 => 2.0 - x,
+            x if x < 2.5 => 0.0,
+            _ => 1.0,
+        };
+        // Beside borders the filter takes in what is next to the pixel.
+        if (x - 2.5).abs() < 0.16 {
+            continue;
+        }
+        for row in 2..8 {
+            let found = f64::from(blurred.film.pixel(column, row)[0]);
+            assert!((found - share).abs() < 0.06, "{x}: {found}, not {share}");
+        }
+    }
+    // Only the scene shows; and what does not move, or is not to, is at rest, to the bit.
+    let tiles = RenderSettings { tile_size: 3, batch_samples: 100, ..settings };
+    assert_eq!(render(&instances, &tiles, 2).film.pixels(), blurred.film.pixels());
+    let off = RenderSettings { switched_off: EffectSet::EMPTY.with(Effect::MotionBlur), ..settings };
+    assert_eq!(render(&instances, &off, 1).film.pixels(), rest.film.pixels());
+    let forced = RenderSettings { forced: EffectSet::ALL, ..settings };
+    assert_eq!(render(&instances, &forced, 1).film.pixels(), blurred.film.pixels());
+    instances.move_while_open(&[(0, at(0.0))]).unwrap();
+    assert_eq!(render(&instances, &settings, 1).film.pixels(), rest.film.pixels());
+}
+
+/// Glass, rough metal, lamps of all kinds, nested bodies and shadows through glass, all moving together with the camera: as if all were at
+/// rest.
+#[test]
+fn rays_of_every_kind_have_the_time_of_their_sample() {
+    let sources: Vec<_> = models().iter().map(|mesh| source(mesh, 16 << 10)).collect();
+    let budget = MemoryBudget::new(Bytes::mib(128));
+    let mut instances = Instances::open(&sources, places(), &budget, &OctreeOptions::default()).unwrap();
+    // Lamps far away light the same wherever the scene moves.
+    let view =
+        |x: f64| Camera::pinhole([1.0 + x, -9.0, 4.0], [x, 0.0, -0.25], [0.0, 0.0, 1.0], 40.0).unwrap();
+    let scene = |camera| {
+        Scene::new(camera)
+            .with_light(Light::directional([0.5, 0.4, -1.0], [0.8; 3]))
+            .with_environment(Environment::Constant([0.3, 0.4, 0.5]))
+            .with_finish("brass", Finish::rough(0.2))
+            .with_finish("glass", Finish::nested(1))
+    };
+    let settings =
+        RenderSettings { samples_per_pixel: 4, contribution_bound: 1e-3, ..RenderSettings::new(48, 32) };
+    let render = |instances: &Instances, scene: &Scene| {
+        let renderer = Renderer::over_instances(instances, scene, &settings, &budget).unwrap();
+        renderer.render(&Threads::One, &mut |_| Control::Continue).unwrap()
+    };
+    let rest = render(&instances, &scene(view(0.0)));
+    // By a power of two, so that hardly anything rounds otherwise.
+    let ends: Vec<(usize, Affine)> = places()
+        .iter()
+        .enumerate()
+        .map(|(number, place)| (number, place.map.then(&Affine::translation([64.0, 0.0, 0.0]))))
+        .collect();
+    instances.move_while_open(&ends).unwrap();
+    let moving = render(&instances, &scene(view(0.0).moving_to(&view(64.0)).unwrap()));
+    let effects = &moving.report.effects;
+    assert!(effects.shutter_rays == effects.samples && effects.transmission_rays > 500, "{effects:?}");
+    // Rounding sends a ray past an edge here and there; a ray of another time would miss everything.
+    let far = |a: &[f32; 3], b: &[f32; 3]| (0..3).any(|channel| (a[channel] - b[channel]).abs() > 0.01);
+    let differing = rest.film.pixels().iter().zip(moving.film.pixels()).filter(|(a, b)| far(a, b)).count();
+    assert!(differing < 30, "{differing} of {}", rest.film.pixels().len());
 }
 
 #[test]

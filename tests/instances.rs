@@ -363,6 +363,71 @@ fn frames_of_a_moving_scene_share_their_blocks() {
     assert_eq!(budget.used(), used);
 }
 
+/// Rays of all times between opening and closing of the shutter, each against what is there at its time.
+#[test]
+fn moving_instances_are_where_the_time_of_a_ray_says() {
+    let mut random = Random(23);
+    let models = [soup(&mut random, 120, 0.3)];
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let source = compile(&models[0], Precision::Float32, 40, |i| i as u64) as Arc<dyn BlockSource>;
+    let starts: Vec<Instance> =
+        (0..6).map(|i| Instance { model: 0, map: any_map(&mut random, 1.0, 2.0, i) }).collect();
+    let mut instances =
+        Instances::open(&[source], starts.clone(), &budget, &OctreeOptions::default()).unwrap();
+    // Half of them move, turn and grow.
+    let ends: Vec<(usize, Affine)> = (0..6)
+        .step_by(2)
+        .map(|number| {
+            let turn = Affine::rotation(random.vector(1.0), 40.0 * random.signed());
+            let shift = Affine::translation(random.vector(1.0));
+            (number, turn.then(&Affine::scale([1.1, 0.9, 1.2])).then(&starts[number].map).then(&shift))
+        })
+        .collect();
+    assert!(!instances.are_moving());
+    instances.move_while_open(&ends).unwrap();
+    assert!(instances.are_moving());
+    let mut tracer = instances.tracer().unwrap();
+    let (mut hits, mut moved) = (0, 0);
+    for turn in 0..40 {
+        let time = [0.0, 1.0, random.unit()][turn % 3];
+        let mut now = starts.clone();
+        for (number, end) in &ends {
+            now[*number].map = starts[*number].map.between(end, time);
+        }
+        let world = written(&models, &now);
+        let rays = rays(&mut random, &world, 20);
+        let mut found = vec![None; rays.len()];
+        tracer.at_times(vec![time; rays.len()]);
+        tracer.closest_hits(&rays, &mut found).unwrap();
+        let mut occlusions = vec![Occlusion::Clear; rays.len()];
+        tracer.at_times(vec![time; rays.len()]);
+        tracer.occluded(&rays, None, &mut occlusions).unwrap();
+        // Without times all are at the opening.
+        let mut at_rest = vec![None; rays.len()];
+        tracer.closest_hits(&rays, &mut at_rest).unwrap();
+        for (index, ray) in rays.iter().enumerate() {
+            let expected = all_hits(&world, ray);
+            let hit = found[index].map(|hit| (hit.t, hit.triangle, hit.material));
+            assert_eq!(hit, expected.first().copied(), "{time}: {ray:?}");
+            assert_eq!(occlusions[index] == Occlusion::Blocked, !expected.is_empty());
+            hits += usize::from(hit.is_some());
+            moved += usize::from(found[index] != at_rest[index]);
+            let first = all_hits(&written(&models, &starts), ray);
+            assert_eq!(at_rest[index].map(|hit| (hit.t, hit.triangle, hit.material)), first.first().copied());
+        }
+    }
+    assert!(hits > 400 && moved > 100, "{hits} {moved}");
+    drop(tracer);
+    // What turns over or shrinks to nothing is refused, and the next frame is at rest.
+    for bad in [starts[0].map.then(&Affine::scale([-1.0, 1.0, 1.0])), Affine::scale([0.0; 3])] {
+        let refused = instances.move_while_open(&[(0, bad)]);
+        assert!(matches!(refused, Err(InstanceError::Instance { instance: 0, .. })));
+    }
+    assert!(instances.move_while_open(&[(6, Affine::IDENTITY)]).is_err());
+    instances.place(starts).unwrap();
+    assert!(!instances.are_moving());
+}
+
 #[test]
 fn senseless_instances_are_refused() {
     let mut random = Random(18);

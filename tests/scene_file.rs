@@ -11,7 +11,7 @@ use outcrop::render::{AdaptiveSampling, Filter, PathEnd, RenderSettings};
 use outcrop::scene::{
     Camera, Environment, EnvironmentImage, Falloff, Finish, Lens, Light, LightShape, Projection, Scene,
 };
-use outcrop::scene_file::SceneFile;
+use outcrop::scene_file::{Place, SceneFile};
 use outcrop::units::Bytes;
 
 const DOCUMENT: &str = include_str!("../docs/scene-file.md");
@@ -50,7 +50,9 @@ fn every_documented_key_is_read() {
         .then(&Affine::rotation([1.0, 0.0, 0.0], 90.0))
         .then(&Affine::translation([1.0, 0.0, -1.0]));
     let second = Affine::from_rows([[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]);
-    assert_eq!(ball.places, [first, second]);
+    let moved = Affine::scale([2.0; 3]).then(&Affine::translation([1.5, 0.0, -1.0]));
+    assert_eq!(ball.places, [Place { map: first, end: Some(moved) }, Place::at_rest(second)]);
+    assert_eq!(file.movements(), [(0, moved)]);
     assert_eq!((&floor.file, floor.places.len()), (&folder.path().join("floor.obj"), 0));
     let placed = |model, map| Instance { model, map };
     let instances = vec![placed(0, first), placed(0, second), placed(1, Affine::IDENTITY)];
@@ -128,7 +130,8 @@ fn what_is_left_out_is_chosen() {
     assert_eq!(file.models[0].file, Path::new("scenes/ball.ply"));
     assert_eq!(file.instances(), None);
     let each = parse(&format!("{MODEL}[[model.place]]\nscale = [1, 2, 3]\n")).unwrap();
-    assert_eq!(each.models[0].places, [Affine::scale([1.0, 2.0, 3.0])]);
+    assert_eq!(each.models[0].places, [Place::at_rest(Affine::scale([1.0, 2.0, 3.0]))]);
+    assert!(each.movements().is_empty());
     assert_eq!(
         (file.settings, file.memory, file.output.clone()),
         (RenderSettings::new(512, 512), None, None)
@@ -173,8 +176,13 @@ fn the_table_and_the_file_have_the_same_keys() {
                 .extend(first.split('`').skip(1).step_by(2).map(|key| (table.clone(), key.to_string())));
         }
     }
-    let alone =
-        [("[[model.place]]", "matrix"), ("[camera]", "orthographic_height"), ("[environment]", "radiance")];
+    let alone = [
+        ("[[model.place]]", "matrix"),
+        ("[model.place.shutter]", "matrix"),
+        ("[model.place.shutter]", "rotate"),
+        ("[camera]", "orthographic_height"),
+        ("[environment]", "radiance"),
+    ];
     documented.retain(|(table, key)| !alone.contains(&(table, key)));
     let mut written = Vec::new();
     table.clear();
@@ -241,6 +249,13 @@ fn senseless_values_are_errors_with_line_and_key() {
             "matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]",
             "[[model.place]]",
             "model[0].place[0]",
+        ),
+        ("translate = [1.5", "translate = [nan", "[model.place.shutter]", "model[0].place[0].shutter"),
+        (
+            "translate = [1.5",
+            "shutter = {}\ntranslate = [1.5",
+            "[model.place.shutter]",
+            "model[0].place[0].shutter",
         ),
         ("degrees = 90", "degree = 90", "rotate", "model[0].place[0].rotate[1].degree"),
         ("look_at = [0, 0, 0]", "look_at = [0, 1, 5]", "[camera]", "camera"),

@@ -29,7 +29,7 @@ gallery: renders one small scene per effect, and says what each effect costs
     cargo run --release --example gallery -- [OPTION]...
 
     -o, --output FOLDER   where pictures and README.md go (docs/gallery)
-    --only NAME           one picture, and no page
+    --only NAME           one picture; its part of the page goes to standard output
     --size WxH            of the pictures (240x180)
     --quick               tiny pictures and no measurement: shows that everything works
     --threads N           for the pictures (2); costs are measured on one
@@ -98,8 +98,9 @@ fn run(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
     if !found {
         return Err(format!("--only {}: there is no such picture", options.only.unwrap_or_default()).into());
     }
-    if options.only.is_none() {
-        std::fs::write(options.output.join("README.md"), page.text())?;
+    match options.only {
+        None => std::fs::write(options.output.join("README.md"), page.text())?,
+        Some(_) => print!("{}", page.part()),
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -79,6 +79,11 @@ impl Page {
         }
     }
 
+    /// What there is about the pictures.
+    pub fn part(&self) -> &str {
+        &self.pictures
+    }
+
     /// Where what follows the pictures is written.
     pub fn more(&mut self) -> &mut String {
         &mut self.pictures

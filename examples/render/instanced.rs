@@ -51,8 +51,9 @@ pub fn picture(
     let picture_bytes = Renderer::bytes_needed_for(&models, &scene, &options.settings, &threads)?;
     let set_aside = budget.reserve(picture_bytes, "the picture")?;
     let octree_options = crate::octree_options(options, TreeQuality::Best);
-    let instances = Instances::open(&sources, places, budget, &octree_options)?;
+    let mut instances = Instances::open(&sources, places, budget, &octree_options)?;
     drop(set_aside);
+    instances.move_while_open(&file.movements())?;
     summary.placed(&instances, picture_bytes);
     let renderer = Renderer::over_instances(&instances, &scene, &options.settings, budget)?;
     let image = renderer.render(&threads, &mut crate::progress_of(meter, interrupt))?;

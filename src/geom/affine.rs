@@ -83,11 +83,9 @@ impl Affine {
         if !self.rows.iter().flatten().all(|x| x.is_finite()) {
             return Err("a number of its map is not finite");
         }
-        // Written so that NaN fails.
-        if !(self.orientation().abs() > 0.0) {
-            return Err("its map is flat: it has no inverse");
-        }
-        Ok(())
+        // NaN, of a row of zeros, fails.
+        let is_flat = self.orientation() == 0.0 || self.orientation().is_nan();
+        if is_flat { Err("its map is flat: it has no inverse") } else { Ok(()) }
     }
 
     /// A number with the sign of the matrix' determinant: below 0 if the map mirrors.
@@ -100,6 +98,44 @@ impl Affine {
         a[0] * (b[1] * c[2] - b[2] * c[1])
             + a[1] * (b[2] * c[0] - b[0] * c[2])
             + a[2] * (b[0] * c[1] - b[1] * c[0])
+    }
+
+    /// The map between this one and `end`, at `time` from 0 to 1: every point moves on a straight line from where this map takes it to where
+    /// `end` does.
+    #[must_use]
+    pub fn between(&self, end: &Affine, time: f64) -> Affine {
+        let mut map = *self;
+        for (row, end) in map.rows.iter_mut().zip(end.rows) {
+            for (number, end) in row.iter_mut().zip(end) {
+                *number += (end - *number) * time;
+            }
+        }
+        map
+    }
+
+    /// Whether no map between this one and `end` is flat, nor nearly so.
+    pub(crate) fn stays_upright(&self, end: &Affine) -> bool {
+        // The determinant is a cubic polynomial in time, and lies between the least and the greatest of its Bernstein coefficients: the
+        // mean determinants of matrices of which so many rows are the end's.
+        let (from, to) = (self.matrix(), end.matrix());
+        let mixed = |ends: u32| {
+            let choices = (0..8u32).filter(|choice| choice.count_ones() == ends);
+            let determinants = choices.map(|choice| {
+                let row = |axis: usize| if choice >> axis & 1 == 1 { to[axis] } else { from[axis] };
+                let [a, b, c] = [row(0), row(1), row(2)];
+                a[0] * (b[1] * c[2] - b[2] * c[1])
+                    + a[1] * (b[2] * c[0] - b[0] * c[2])
+                    + a[2] * (b[0] * c[1] - b[1] * c[0])
+            });
+            let all: Vec<f64> = determinants.collect();
+            all.iter().sum::<f64>() / all.len() as f64
+        };
+        const LEAST_SHARE: f64 = 1.0 / 64.0;
+        let coefficients = [0, 1, 2, 3].map(mixed);
+        let largest = coefficients.iter().fold(0.0f64, |largest, x| largest.max(x.abs()));
+        let sign = coefficients[0].signum();
+        // Written so that NaN fails.
+        largest > 0.0 && coefficients.iter().all(|x| x * sign >= LEAST_SHARE * largest)
     }
 
     /// Per axis of the result: three numbers of the matrix, and the shift.
@@ -166,6 +202,28 @@ mod tests {
         assert_eq!(both.point(point), [3.0, 4.0, 6.0]);
         let turned = both.then(&Affine::rotation([0.0, 0.0, 1.0], 90.0));
         assert_eq!(turned.point(point), [-4.0, 3.0, 6.0]);
+    }
+
+    #[test]
+    fn maps_between_two_are_on_the_way() {
+        let (from, to) =
+            (Affine::IDENTITY, Affine::rotation([0.0, 0.0, 1.0], 80.0).then(&Affine::translation([4.0; 3])));
+        assert_eq!((from.between(&to, 0.0), from.between(&from, 0.3)), (from, from));
+        let point = [1.0, 2.0, 3.0];
+        let (start, end, middle) = (from.point(point), to.point(point), from.between(&to, 0.5).point(point));
+        for axis in 0..3 {
+            assert!((middle[axis] - 0.5 * (start[axis] + end[axis])).abs() < 1e-15);
+        }
+        assert!(from.stays_upright(&to));
+        for bad in [
+            Affine::rotation([0.0, 0.0, 1.0], 180.0),
+            Affine::rotation([1.0, 2.0, 1.0], 130.0),
+            Affine::scale([1.0, -1.0, 1.0]),
+            Affine::scale([0.0; 3]),
+            Affine::scale([f64::NAN; 3]),
+        ] {
+            assert!(!from.stays_upright(&bad), "{bad:?}");
+        }
     }
 
     #[test]

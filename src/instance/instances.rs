@@ -1,5 +1,6 @@
 //! Models, where they stand, and the tree over them.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -64,6 +65,8 @@ pub struct Instances {
     materials: Vec<MaterialRecord>,
     instances: Vec<Instance>,
     pub(super) placed: Vec<Placed>,
+    /// For each instance, where it is when the shutter closes, if any moves.
+    ends: Vec<Option<Affine>>,
     pub(super) tree: Tree,
     budget: MemoryBudget,
     memory: Reservation,
@@ -100,10 +103,7 @@ impl Instances {
             let of_rest = u128::from(spare) * (all_blocks - own_blocks) / all_blocks.max(1);
             let aside = Bytes(least.saturating_add(of_rest as u64).min(budget.available().0));
             let set_aside = budget.reserve(aside, "the other models of the scene")?;
-            octrees.push(
-                LazyOctree::open(Arc::clone(source), budget, options.clone())
-                    .map_err(|error| failed(error))?,
-            );
+            octrees.push(LazyOctree::open(Arc::clone(source), budget, *options).map_err(failed)?);
             drop(set_aside);
         }
         drop(own);
@@ -141,6 +141,7 @@ impl Instances {
             materials,
             instances: Vec::new(),
             placed: Vec::new(),
+            ends: Vec::new(),
             tree: Tree::default(),
             budget: budget.clone(),
             memory: budget.reserve(Bytes(0), "instances")?,
@@ -177,7 +178,55 @@ impl Instances {
         let boxes: Vec<Aabb> = placed.iter().map(|placed| placed.bounds).collect();
         self.tree = Tree::new(&boxes);
         (self.instances, self.placed, self.memory) = (instances, placed, memory);
+        self.ends.clear();
         Ok(())
+    }
+
+    /// Lets instances move while the shutter is open, from where they were placed to the map that stands beside the instance's number: every vertex on a
+    /// straight line. So a part that turns shrinks a little on its way: cut long turns into several frames. Those not named rest; so do all after the next
+    /// [`Instances::place`].
+    ///
+    /// # Errors
+    /// [`InstanceError::Instance`] if there is no such instance, or it would turn too far (about 100 degrees) or become flat on its way.
+    pub fn move_while_open(&mut self, ends: &[(usize, Affine)]) -> Result<(), InstanceError> {
+        let mut all = vec![None; self.instances.len()];
+        let mut boxes: Vec<Aabb> = self.placed.iter().map(|placed| placed.bounds).collect();
+        for (number, end) in ends {
+            let refused = |reason| InstanceError::Instance { instance: *number, reason };
+            let Some(start) = self.instances.get(*number) else {
+                return Err(refused("there is none of this number"));
+            };
+            if !start.map.stays_upright(end) {
+                return Err(refused("it turns too far or becomes flat while the shutter is open"));
+            }
+            let model = self.octrees[start.model as usize].model().bounds;
+            let last = Placed::new(&Instance { map: *end, ..*start }, &model).map_err(refused)?;
+            boxes[*number] = self.placed[*number].bounds_to(&last);
+            all[*number] = Some(*end);
+        }
+        self.tree = Tree::new(&boxes);
+        self.ends = all;
+        Ok(())
+    }
+
+    /// Whether any instance moves while the shutter is open.
+    pub fn are_moving(&self) -> bool {
+        self.ends.iter().zip(&self.instances).any(|(end, start)| end.is_some_and(|end| end != start.map))
+    }
+
+    /// An instance at `time`, if it moves.
+    #[inline(always)]
+    pub(super) fn moved(&self, instance: u32, time: f64) -> Option<Placed> {
+        let end = self.ends.get(instance as usize)?.as_ref()?;
+        self.moved_to(instance, end, time)
+    }
+
+    #[inline(never)]
+    fn moved_to(&self, instance: u32, end: &Affine, time: f64) -> Option<Placed> {
+        let start = &self.instances[instance as usize];
+        let model = &self.octrees[start.model as usize].model().bounds;
+        // `move_while_open` has refused ends on whose way a map is flat.
+        Placed::new(&Instance { map: start.map.between(end, time), ..*start }, model).ok()
     }
 
     /// The instances, in the order that numbers them.
@@ -209,8 +258,12 @@ impl Instances {
         self.first_materials[model as usize]
     }
 
-    pub(crate) fn placed(&self, instance: u32) -> Option<&Placed> {
-        self.placed.get(instance as usize)
+    /// An instance at `time`.
+    pub(crate) fn placed(&self, instance: u32, time: f64) -> Option<Cow<'_, Placed>> {
+        match self.moved(instance, time) {
+            Some(moved) => Some(Cow::Owned(moved)),
+            None => self.placed.get(instance as usize).map(Cow::Borrowed),
+        }
     }
 
     /// Models that at least one instance shows.
@@ -237,7 +290,8 @@ fn ready(
 
 /// What is known of so many instances, and what making it takes.
 fn bytes_for(count: usize) -> u64 {
-    (count * (size_of::<Instance>() + size_of::<Placed>() + size_of::<Aabb>())) as u64 + Tree::bytes(count)
+    let each = size_of::<Instance>() + size_of::<Placed>() + size_of::<Aabb>() + size_of::<Option<Affine>>();
+    (count * each) as u64 + Tree::bytes(count)
 }
 
 /// What a copy of a model's materials takes: no more than the model itself does beside its blocks.

@@ -63,8 +63,7 @@ impl Placed {
         });
         let mut bounds = Aabb::EMPTY;
         if !model.is_empty() {
-            for axis in 0..3 {
-                let [a, b, c, shift] = map.rows()[axis];
+            for (axis, [a, b, c, shift]) in map.rows().into_iter().enumerate() {
                 let (mut low, mut high) = (shift, shift);
                 for (factor, k) in [(a, 0), (b, 1), (c, 2)] {
                     let (x, y) = (factor * model.min[k], factor * model.max[k]);
@@ -87,6 +86,20 @@ impl Placed {
             reach,
             error,
         })
+    }
+
+    /// A box around all vertices on their way to where they are in `end`.
+    pub fn bounds_to(&self, end: &Placed) -> Aabb {
+        let mut bounds = self.bounds;
+        bounds.merge(&end.bounds);
+        // Numbers of maps in between are off by two roundings of the numbers at the ends.
+        let (from, to) = (self.map.permanent(self.reach), end.map.permanent(self.reach));
+        for axis in 0..3 {
+            let pad = gamma(16) * (from[axis] + to[axis]);
+            bounds.min[axis] -= pad;
+            bounds.max[axis] += pad;
+        }
+        bounds
     }
 
     /// The corners of a triangle in the world, turned around if the instance is mirrored.

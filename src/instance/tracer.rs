@@ -19,6 +19,8 @@ pub struct InstanceTracer<'o> {
     /// One for each model.
     tracers: Vec<Tracer<'o>>,
     stack: Stack,
+    /// Of the rays of the next call, if any instance moves.
+    times: Vec<f64>,
     counters: TraceCounters,
 }
 
@@ -33,12 +35,20 @@ impl Instances {
             instances: self,
             tracers,
             stack: Stack::new(),
+            times: Vec::new(),
             counters: TraceCounters::default(),
         })
     }
 }
 
 impl InstanceTracer<'_> {
+    /// Sets when the rays of the next call are traced, one time each: from 0, when the shutter opens, which holds for rays without a time, to 1. See
+    /// [`Instances::move_while_open`].
+    pub fn at_times(&mut self, times: impl IntoIterator<Item = f64>) {
+        self.times.clear();
+        self.times.extend(times);
+    }
+
     /// Finds for each ray the hit with the least (t, triangle number), and puts it at the ray's place in `hits`.
     ///
     /// # Errors
@@ -123,16 +133,18 @@ impl InstanceTracer<'_> {
     fn follow<S: Simd, G: Goal>(
         &mut self,
         simd: S,
+        time: f64,
         frame: &mut RayFrame,
         goal: &mut G,
     ) -> Result<(), LoadError> {
-        let InstanceTracer { instances, tracers, stack, counters } = self;
+        let InstanceTracer { instances, tracers, stack, counters, .. } = self;
         let instances: &Instances = instances;
         let mut box_tests = 0;
         instances.tree.visit(frame, &mut box_tests, |index, frame| {
-            let placed = &instances.placed[index as usize];
+            let moved = instances.moved(index, time);
+            let placed = moved.as_ref().unwrap_or(&instances.placed[index as usize]);
             let model = placed.model as usize;
-            let mut walk = Walk {
+            simd.enter(Walk {
                 instances,
                 index,
                 placed,
@@ -142,8 +154,7 @@ impl InstanceTracer<'_> {
                 goal: &mut *goal,
                 frame,
                 counters: &mut *counters,
-            };
-            walk.run(simd)
+            })
         })?;
         self.counters.box_tests += box_tests;
         Ok(())
@@ -164,20 +175,25 @@ impl<G: Goal, M: Fn(usize) -> G, D: FnMut(usize, G)> AnyOperation for Each<'_, '
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Self::Output {
         let Each { tracer, rays, goal: make, mut done } = self;
+        let times = std::mem::take(&mut tracer.times);
+        let time_of = |index: usize| times.get(index).copied().unwrap_or(0.0);
         for (index, ray) in rays.iter().enumerate() {
             ray.validate().map_err(|reason| TraceError::InvalidRay { index, reason })?;
             tracer.counters.rays += 1;
             let mut frame = RayFrame::new(ray);
-            let mut goal = make(index);
+            let (time, mut goal) = (time_of(index), make(index));
             // Written so that NaN changes nothing.
             if let Some(t) = goal.begins().filter(|t| *t > frame.t_min) {
                 frame.t_min = t;
             }
             if frame.t_min <= frame.t_max {
-                tracer.follow(simd, &mut frame, &mut goal)?;
+                tracer.follow(simd, time, &mut frame, &mut goal)?;
             }
             done(index, goal);
         }
+        // The list is kept, the times are not.
+        tracer.times = times;
+        tracer.times.clear();
         Ok(())
     }
 }

@@ -7,7 +7,7 @@ use super::placed::Placed;
 use crate::error::{BlockError, LoadError};
 use crate::geom::RayFrame;
 use crate::octree::{Child, Fine, LazyOctree, Reached, STACK_MAX, TriangleLocation};
-use crate::simd::{LANES, Simd};
+use crate::simd::{LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::trace::Tracer;
 use crate::units::{BlockId, MaterialId, TriangleId};
@@ -61,7 +61,7 @@ pub(super) struct Walk<'w, 'o, G> {
     pub instances: &'o Instances,
     /// Number of the instance.
     pub index: u32,
-    pub placed: &'o Placed,
+    pub placed: &'w Placed,
     pub octree: &'o LazyOctree,
     pub tracer: &'w mut Tracer<'o>,
     pub stack: &'w mut Stack,
@@ -71,10 +71,13 @@ pub(super) struct Walk<'w, 'o, G> {
     pub counters: &'w mut TraceCounters,
 }
 
-impl<G: Goal> Walk<'_, '_, G> {
-    /// Offers the goal every triangle of the instance that the ray may meet; gives whether the goal is reached.
+/// Offers the goal every triangle of the instance that the ray may meet; gives whether the goal is reached. A function of its own, entered with
+/// the instructions of `simd`.
+impl<S: Simd, G: Goal> Operation<S> for Walk<'_, '_, G> {
+    type Output = Result<bool, LoadError>;
+
     #[inline(always)]
-    pub fn run<S: Simd>(&mut self, simd: S) -> Result<bool, LoadError> {
+    fn run(mut self, simd: S) -> Result<bool, LoadError> {
         let octree = self.octree;
         let coarse = &octree.coarse;
         let mut local = LocalRay::new(simd, self.frame, self.placed, octree);
@@ -114,7 +117,9 @@ impl<G: Goal> Walk<'_, '_, G> {
         }
         Ok(false)
     }
+}
 
+impl<G: Goal> Walk<'_, '_, G> {
     /// The same in a block, from the sub-boxes in `hits` on.
     #[inline(always)]
     fn block<S: Simd>(

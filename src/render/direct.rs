@@ -80,7 +80,8 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         let shaded = Instant::now();
         self.seconds.shading += (shaded - start).as_secs_f64();
         let lost = &mut self.lost;
-        self.shadows.resolve(self.stage, &mut self.query, &mut self.radiance, lost, &mut self.counters)?;
+        let (times, radiance) = (&self.times, &mut self.radiance);
+        self.shadows.resolve(self.stage, &mut self.query, times, radiance, lost, &mut self.counters)?;
         let resolved = Instant::now();
         self.seconds.shadows += (resolved - shaded).as_secs_f64();
         Ok(resolved)

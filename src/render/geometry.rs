@@ -23,6 +23,8 @@ pub(crate) struct Surfaces<'m> {
     used: Vec<bool>,
     /// The models that are shown.
     models: Vec<&'m Model>,
+    /// Whether any moves while the shutter is open.
+    pub are_moving: bool,
 }
 
 impl<'m> From<&'m Model> for Surfaces<'m> {
@@ -31,6 +33,7 @@ impl<'m> From<&'m Model> for Surfaces<'m> {
             materials: Cow::Borrowed(&model.materials),
             used: vec![false; model.materials.len()],
             models: Vec::new(),
+            are_moving: false,
         };
         surfaces.show(model, 0);
         surfaces
@@ -41,7 +44,9 @@ impl<'m> From<&'m Instances> for Surfaces<'m> {
     fn from(instances: &'m Instances) -> Surfaces<'m> {
         let materials = instances.materials();
         let used = vec![false; materials.len()];
-        let mut surfaces = Surfaces { materials: Cow::Borrowed(materials), used, models: Vec::new() };
+        let are_moving = instances.are_moving();
+        let mut surfaces =
+            Surfaces { materials: Cow::Borrowed(materials), used, models: Vec::new(), are_moving };
         for (number, model) in instances.shown_models() {
             surfaces.show(model, usize::from(instances.first_material(number)));
         }
@@ -54,7 +59,9 @@ impl<'m> From<&[&'m Model]> for Surfaces<'m> {
     fn from(models: &[&'m Model]) -> Surfaces<'m> {
         let materials: Vec<_> = models.iter().flat_map(|model| model.materials.iter().cloned()).collect();
         let used = vec![false; materials.len()];
-        let mut surfaces = Surfaces { materials: Cow::Owned(materials), used, models: Vec::new() };
+        // They may move: then it takes a little more.
+        let mut surfaces =
+            Surfaces { materials: Cow::Owned(materials), used, models: Vec::new(), are_moving: true };
         let mut first = 0;
         for model in models {
             surfaces.show(model, first);
@@ -83,7 +90,8 @@ impl<'m> Surfaces<'m> {
     pub fn plan(&self, scene: &Scene, options: &EffectOptions) -> EffectPlan {
         let used = self.materials.iter().zip(&self.used).filter(|(_, used)| **used).map(|(record, _)| record);
         let normals = self.models.iter().any(|model| model.attributes.have_normals());
-        EffectPlan::of_parts(scene, used, AttributeKinds { uvs: self.have_uvs(), normals }, options)
+        let attributes = AttributeKinds { uvs: self.have_uvs(), normals };
+        EffectPlan::of_surfaces(scene, used, attributes, self.are_moving, options)
     }
 
     /// What the caches of attributes take for so many readers.
@@ -152,6 +160,7 @@ impl<'a> Geometry<'a> {
                 instances,
                 tracer: instances.tracer()?,
                 attributes: readers.collect(),
+                time: 0.0,
             },
         })
     }

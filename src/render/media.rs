@@ -125,12 +125,12 @@ impl Borders {
                 + size_of::<Option<Hit>>())
     }
 
-    /// Gathers what lies at each hit of a medium, and replaces the hit by that of the surface that is to be shaded.
+    /// `times`: when each ray is traced, if instances move. Gathers what lies at each hit of a medium, and replaces the hit by that of the surface that is to be shaded.
     pub fn find(
         &mut self,
         stage: &Stage,
         query: &mut impl RayQuery,
-        rays: &[Ray],
+        (rays, times): (&[Ray], &[f64]),
         media: impl Iterator<Item = MediumStack>,
         hits: &mut [Option<Hit>],
         counters: &mut EffectCounters,
@@ -167,6 +167,11 @@ impl Borders {
                 let ray = rays[cluster.index as usize];
                 self.rays.push(Ray { t_max: ray.t_max.min(cluster.t_max), ..ray });
                 self.after.push(cluster.last);
+            }
+            if !times.is_empty() {
+                query.at_times(
+                    &mut self.clusters[..waiting].iter().map(|cluster| times[cluster.index as usize]),
+                );
             }
             let found = &mut self.hits[..waiting];
             query.closest_hits_after(&self.rays, &self.after, found)?;

@@ -120,6 +120,9 @@ pub(crate) struct PathTracer<'s, Q> {
     next_walks: Vec<Walk>,
     pub(super) scatters: Vec<Scatter>,
     waiting_walks: Vec<Option<Walk>>,
+    /// When each sample is taken, by slot, and when each of `rays` is traced; only if instances move.
+    pub(super) times: Vec<f64>,
+    ray_times: Vec<f64>,
     /// Terms of points where they are not those of the material.
     pub(super) details: Vec<Shader>,
     /// Of nested media.
@@ -153,6 +156,8 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             scatters: Vec::with_capacity(sizes.walks),
             waiting_walks: vec![None; if sizes.walks > 0 { sizes.batch * sizes.stack_depth } else { 0 }],
             borders: Borders::new(sizes.borders),
+            times: Vec::new(),
+            ray_times: Vec::new(),
             details: Vec::new(),
         }
     }
@@ -180,8 +185,12 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         self.walks.clear();
         self.radiance.clear();
         self.lost.clear();
+        self.times.clear();
         let work = self.stage.settings.work_budget;
-        for (slot, CameraSample { key, ray }) in samples.enumerate() {
+        for (slot, CameraSample { key, ray, time }) in samples.enumerate() {
+            if self.stage.are_moving {
+                self.times.push(time);
+            }
             self.rays.push(ray);
             self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
             if E::SAMPLED {
@@ -205,7 +214,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             self.counters.lens_rays += count;
             self.counters.random_numbers += 2 * count;
         }
-        if self.stage.view.is_moving() {
+        if self.stage.draws_time() {
             self.counters.shutter_rays += count;
             self.counters.random_numbers += count;
         }
@@ -230,6 +239,11 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     /// Traces the head of every live sample, shades what was hit and moves each sample to the next ray of its tree.
     fn step<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
         let start = Instant::now();
+        if self.stage.are_moving {
+            self.ray_times.clear();
+            self.ray_times.extend(self.heads.iter().map(|head| self.times[head.slot as usize]));
+            self.query.at_times(&mut self.ray_times.iter().copied());
+        }
         let hits = &mut self.hits[..self.rays.len()];
         self.query.closest_hits(&self.rays, hits)?;
         if E::SAMPLED && (self.stage.nested || self.stage.force_nested) {
@@ -269,7 +283,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             return self.borders.find(
                 self.stage,
                 &mut self.query,
-                &self.rays,
+                (&self.rays, &self.ray_times),
                 media,
                 hits,
                 &mut self.counters,
@@ -277,7 +291,8 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         }
         let mut hits: Vec<_> = hits.to_vec();
         let mut counters = EffectCounters::default();
-        self.borders.find(self.stage, &mut self.query, &self.rays, media, &mut hits, &mut counters)?;
+        let rays = (&self.rays[..], &self.ray_times[..]);
+        self.borders.find(self.stage, &mut self.query, rays, media, &mut hits, &mut counters)?;
         self.counters.forced_rays += counters.medium_rays;
         Ok(())
     }
@@ -360,6 +375,9 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             if E::DETAILED {
                 let width = self.walks[index].cone.width_at(hit.t);
                 let seen = Seen { geometric: normal, is_behind, view: -direction, width };
+                if stage.are_moving {
+                    self.query.at_time(self.times[slot]);
+                }
                 let detail = Detail::at(stage, &mut self.query, &mut self.counters, &hit, shader, &seen)?;
                 point.normal = detail.normal;
                 if detail.lift != DVec3::ZERO {
@@ -739,5 +757,7 @@ pub(crate) fn bytes_needed(stage: &Stage) -> usize {
         + ShadowBatch::bytes_needed(sizes.shadows, stage.transparent.is_some())
         + sizes.forced * (size_of::<Ray>() + size_of::<Option<Hit>>())
         + if stage.path_loop == Loop::Detailed { 2 * sizes.batch * size_of::<Shader>() } else { 0 }
+        // A sample's time, its ray's, and those that queries keep.
+        + if stage.are_moving { 4 * sizes.batch.max(sizes.shadows) * size_of::<f64>() } else { 0 }
         + SurfaceQuery::<()>::bytes_needed(stage, sizes.batch.max(sizes.shadows).max(sizes.forced))
 }

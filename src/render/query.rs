@@ -31,6 +31,13 @@ pub(crate) trait RayQuery {
         out: &mut [Occlusion],
     ) -> Result<(), TraceError>;
 
+    /// Sets when the rays of the next call are traced, one time each, where the scene moves; else all are at 0. Needs no answer where nothing
+    /// can move.
+    fn at_times(&mut self, _times: &mut dyn Iterator<Item = f64>) {}
+
+    /// Sets when attributes are asked for, from here on.
+    fn at_time(&mut self, _time: f64) {}
+
     /// The attributes of a triangle's corners.
     fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError>;
 
@@ -39,6 +46,7 @@ pub(crate) trait RayQuery {
 }
 
 /// A tracer, and readers of attributes if the picture needs any. Which one it is is asked once per call.
+#[expect(clippy::large_enum_variant, reason = "there is one for each thread")]
 pub(crate) enum SceneTracer<'o> {
     Model {
         tracer: Tracer<'o>,
@@ -49,6 +57,8 @@ pub(crate) enum SceneTracer<'o> {
         instances: &'o Instances,
         tracer: InstanceTracer<'o>,
         attributes: Vec<Option<AttributeReader<'o>>>,
+        /// When attributes are asked for.
+        time: f64,
     },
 }
 
@@ -84,13 +94,27 @@ impl RayQuery for SceneTracer<'_> {
         }
     }
 
+    fn at_times(&mut self, times: &mut dyn Iterator<Item = f64>) {
+        if let SceneTracer::Instances { tracer, .. } = self {
+            tracer.at_times(times);
+        }
+    }
+
+    fn at_time(&mut self, now: f64) {
+        if let SceneTracer::Instances { time, .. } = self {
+            *time = now;
+        }
+    }
+
     fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {
         match self {
             SceneTracer::Model { attributes: Some(reader), .. } => Ok(reader.get(triangle)?),
             SceneTracer::Model { attributes: None, .. } => Ok(CornerAttributes::default()),
-            SceneTracer::Instances { instances, attributes, .. } => {
+            SceneTracer::Instances { instances, attributes, time, .. } => {
                 let InstanceTriangle { instance, triangle } = InstanceTriangle::of(triangle);
-                let Some(placed) = instances.placed(instance) else { return Ok(CornerAttributes::default()) };
+                let Some(placed) = instances.placed(instance, *time) else {
+                    return Ok(CornerAttributes::default());
+                };
                 match attributes.get_mut(placed.model as usize) {
                     Some(Some(reader)) => Ok(placed.attributes(reader.get(triangle)?)),
                     _ => Ok(CornerAttributes::default()),
@@ -128,6 +152,14 @@ impl<Q: RayQuery> RayQuery for &mut Q {
         out: &mut [Occlusion],
     ) -> Result<(), TraceError> {
         (**self).occluded(rays, ignore, out)
+    }
+
+    fn at_times(&mut self, times: &mut dyn Iterator<Item = f64>) {
+        (**self).at_times(times);
+    }
+
+    fn at_time(&mut self, time: f64) {
+        (**self).at_time(time);
     }
 
     fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {

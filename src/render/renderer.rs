@@ -22,7 +22,7 @@ use crate::error::{RenderError, TraceError};
 use crate::instance::Instances;
 use crate::model::Model;
 use crate::octree::LazyOctree;
-use crate::scene::{EffectPlan, Scene};
+use crate::scene::{Effect, EffectPlan, Scene};
 use crate::texture::TextureCache;
 use crate::units::Bytes;
 
@@ -328,7 +328,9 @@ pub(super) fn set(
         scene.validate_textures(materials, settings.switched_off)?;
     }
     let plan = surfaces.plan(scene, &settings.effect_options());
-    Ok((Stage::new(scene, materials, &plan, settings), plan))
+    let mut stage = Stage::new(scene, materials, &plan, settings);
+    stage.are_moving = surfaces.are_moving && plan.has(Effect::MotionBlur);
+    Ok((stage, plan))
 }
 
 /// Renders `stage` through queries from `make_query`.

@@ -95,12 +95,13 @@ impl ShadowBatch {
         self.claims.push(Claim { slot, contribution });
     }
 
-    /// Answers all claims, adds what reaches `radiance`, and is empty again. Light too weak to be followed through more
+    /// `times`: when each sample is taken, if instances move. Answers all claims, adds what reaches `radiance`, and is empty again. Light too weak to be followed through more
     /// surfaces is added to `lost`.
     pub fn resolve(
         &mut self,
         stage: &Stage,
         query: &mut impl RayQuery,
+        times: &[f64],
         radiance: &mut [DVec3],
         lost: &mut [f64],
         counters: &mut EffectCounters,
@@ -108,6 +109,9 @@ impl ShadowBatch {
         let count = self.claims.len();
         let occlusion = &mut self.occlusion[..count];
         let passed = if self.straight_only { &stage.straight } else { &stage.transparent };
+        if !times.is_empty() {
+            query.at_times(&mut self.claims.iter().map(|claim| times[claim.slot as usize]));
+        }
         query.occluded(&self.rays, passed.as_ref(), occlusion)?;
         counters.shadow_rays += count as u64;
         // Shadows that are traced only because they are forced must not show.
@@ -123,7 +127,7 @@ impl ShadowBatch {
                     }
                 }
             }
-            self.walk(stage, query, lost, counters)?;
+            self.walk(stage, query, times, lost, counters)?;
         }
         for claim in &self.claims {
             radiance[claim.slot as usize] += claim.contribution;
@@ -139,6 +143,7 @@ impl ShadowBatch {
         &mut self,
         stage: &Stage,
         query: &mut impl RayQuery,
+        times: &[f64],
         lost: &mut [f64],
         counters: &mut EffectCounters,
     ) -> Result<(), TraceError> {
@@ -150,6 +155,10 @@ impl ShadowBatch {
             for walker in &self.walkers {
                 self.walk_rays.push(self.rays[walker.claim as usize]);
                 self.walk_after.extend(walker.last);
+            }
+            if !times.is_empty() {
+                let slot_of = |walker: &Walker| self.claims[walker.claim as usize].slot as usize;
+                query.at_times(&mut self.walkers.iter().map(|walker| times[slot_of(walker)]));
             }
             let hits = &mut self.walk_hits[..count];
             if is_first {

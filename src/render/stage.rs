@@ -108,6 +108,8 @@ impl Shader {
 pub(crate) struct CameraSample {
     pub key: SampleKey,
     pub ray: Ray,
+    /// From 0, when the shutter opens, to 1.
+    pub time: f64,
 }
 
 /// Which compiled form of the path loop a picture takes; see [`super::hot`].
@@ -168,6 +170,8 @@ pub(crate) struct Stage {
     pub force_nested: bool,
     pub force_lens: bool,
     pub force_shutter: bool,
+    /// Whether instances move while the shutter is open.
+    pub are_moving: bool,
     pub smooth: bool,
     /// Whether attributes are looked up although they cannot matter.
     pub force_details: bool,
@@ -261,6 +265,7 @@ impl Stage {
             force_interreflection: plan.forces(Effect::Interreflection),
             force_nested: plan.forces(Effect::NestedMedia),
             force_lens: plan.forces(Effect::DepthOfField) && !plan.has(Effect::DepthOfField),
+            are_moving: false,
             force_shutter: plan.forces(Effect::MotionBlur) && !plan.has(Effect::MotionBlur),
             smooth: plan.has(Effect::SmoothNormals),
             force_details: details.into_iter().any(|effect| plan.forces(effect) && !plan.has(effect)),
@@ -308,13 +313,18 @@ impl Stage {
     /// The way into the scene of sample `sample` of `pixel`, which lies at `(x, y)` of the image.
     pub fn camera_sample(&self, pixel: u64, sample: u32, x: f64, y: f64) -> CameraSample {
         let key = SampleKey::new(self.settings.seed, pixel, sample);
-        let (has_lens, is_moving) = (self.view.has_lens(), self.view.is_moving());
+        let (has_lens, is_moving) = (self.view.has_lens(), self.draws_time());
         if !(has_lens || is_moving) {
-            return CameraSample { key, ray: self.view.ray(x, y) };
+            return CameraSample { key, ray: self.view.ray(x, y), time: 0.0 };
         }
         let lens = if has_lens { key.pair(VertexId::CAMERA, Dimension::Lens) } else { [0.5; 2] };
         let time = if is_moving { key.one(VertexId::CAMERA, Dimension::Shutter) } else { 0.0 };
-        CameraSample { key, ray: self.view.sampled_ray(x, y, lens, time) }
+        CameraSample { key, ray: self.view.sampled_ray(x, y, lens, time), time }
+    }
+
+    /// Whether each sample has a time of its own.
+    pub fn draws_time(&self) -> bool {
+        self.view.is_moving() || self.are_moving
     }
 
     /// What the tables take, those needed only to make them included.

@@ -72,7 +72,18 @@ impl EffectPlan {
         attributes: AttributeKinds,
         options: &EffectOptions,
     ) -> EffectPlan {
-        let traits = scan::Traits::of(scene, materials, attributes);
+        EffectPlan::of_surfaces(scene, materials, attributes, false, options)
+    }
+
+    /// [`EffectPlan::of_parts`], where surfaces may move while the shutter is open.
+    pub(crate) fn of_surfaces<'m>(
+        scene: &Scene,
+        materials: impl IntoIterator<Item = &'m MaterialRecord>,
+        attributes: AttributeKinds,
+        are_moving: bool,
+        options: &EffectOptions,
+    ) -> EffectPlan {
+        let traits = scan::Traits::of(scene, materials, attributes, are_moving);
         let mut needed = EffectSet::EMPTY;
         let mut decisions = Vec::with_capacity(Effect::ALL.len());
         // What an effect rests on comes before it, so that one left out takes those that rest on it along.

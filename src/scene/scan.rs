@@ -41,6 +41,8 @@ pub(super) struct Traits {
     point_lights: usize,
     area_lights: usize,
     attributes: AttributeKinds,
+    /// Whether instances move while the shutter is open.
+    are_moving: bool,
 }
 
 impl Traits {
@@ -48,8 +50,9 @@ impl Traits {
         scene: &Scene,
         materials: impl IntoIterator<Item = &'m MaterialRecord>,
         attributes: AttributeKinds,
+        are_moving: bool,
     ) -> Traits {
-        let mut traits = Traits { attributes, ..Traits::default() };
+        let mut traits = Traits { attributes, are_moving, ..Traits::default() };
         for record in materials {
             let finish = scene.finish(record);
             let surface = Surface::with_finish(record, &finish);
@@ -190,9 +193,11 @@ impl Traits {
                     yes(format!("a lens of radius {} in focus at {}", lens.radius, lens.focus_distance))
                 }
             },
-            Effect::MotionBlur => match scene.camera().is_moving() {
-                false => no("the camera rests"),
-                true => yes("the camera moves while the shutter is open"),
+            Effect::MotionBlur => match (scene.camera().is_moving(), self.are_moving) {
+                (false, false) => no("the camera rests"),
+                (true, false) => yes("the camera moves while the shutter is open"),
+                (false, true) => yes("instances move while the shutter is open"),
+                (true, true) => yes("camera and instances move while the shutter is open"),
             },
             Effect::Antialiasing => match options.samples_per_pixel {
                 0 | 1 => no("one sample per pixel was asked for"),

@@ -8,7 +8,7 @@ use super::document::{
     CameraTable, Document, EnvironmentTable, FinishTable, LightTables, ModelTable, PlaceTable, RotateTable,
     Scale, SettingsTable,
 };
-use super::read::{Lighting, Refused, SceneFile, SceneModel, Surroundings};
+use super::read::{Lighting, Place, Refused, SceneFile, SceneModel, Surroundings};
 use crate::geom::Affine;
 use crate::render::{AdaptiveSampling, ImageFormat, RenderSettings};
 use crate::scene::{Camera, Environment, Falloff, Finish, Lens, Light, LightShape, Projection};
@@ -53,8 +53,20 @@ fn model(index: usize, table: &ModelTable, folder: &Path) -> Checked<SceneModel>
     Ok(SceneModel { file: folder.join(&table.file), places: places.collect::<Checked<_>>()? })
 }
 
-fn place(table: &Spanned<PlaceTable>, key: String) -> Checked<Affine> {
-    let PlaceTable { scale, rotate, translate, matrix } = table.get_ref();
+fn place(table: &Spanned<PlaceTable>, key: String) -> Checked<Place> {
+    let map = map(table, key.clone())?;
+    let end = table.get_ref().shutter.as_deref().map(|end| {
+        let key = format!("{key}.shutter");
+        if end.get_ref().shutter.is_some() {
+            return Err(Refused::new(end, key, "has a shutter of its own; leave it out"));
+        }
+        self::map(end, key)
+    });
+    Ok(Place { map, end: end.transpose()? })
+}
+
+fn map(table: &Spanned<PlaceTable>, key: String) -> Checked<Affine> {
+    let PlaceTable { scale, rotate, translate, matrix, shutter: _ } = table.get_ref();
     let map = match matrix {
         Some(rows) if scale.is_none() && rotate.is_empty() && translate.is_none() => Affine::from_rows(*rows),
         Some(_) => {

@@ -44,6 +44,8 @@ pub(super) struct PlaceTable {
     pub rotate: Vec<RotateTable>,
     pub translate: Option<[f64; 3]>,
     pub matrix: Option<[[f64; 4]; 3]>,
+    /// Where it is when the shutter closes: a place without a shutter of its own.
+    pub shutter: Option<Box<Spanned<PlaceTable>>>,
 }
 
 #[derive(Debug, Deserialize)]

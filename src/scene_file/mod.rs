@@ -41,4 +41,4 @@ mod document;
 mod read;
 
 #[cfg(feature = "scene-file")]
-pub use read::{SceneFile, SceneModel};
+pub use read::{Place, SceneFile, SceneModel};

@@ -44,7 +44,31 @@ pub struct SceneModel {
     /// The model file or compiled file. A relative path is relative to the scene file.
     pub file: PathBuf,
     /// Where it stands; if empty, once and as it is.
-    pub places: Vec<Affine>,
+    pub places: Vec<Place>,
+}
+
+/// Where an instance stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// From the model to the scene.
+    pub map: Affine,
+    /// The same when the shutter closes, if it moves.
+    pub end: Option<Affine>,
+}
+
+impl SceneModel {
+    /// Its places, or the one that it has as it is.
+    fn places(&self) -> impl Iterator<Item = Place> + '_ {
+        let as_it_is = self.places.is_empty().then_some(Place::at_rest(Affine::IDENTITY));
+        as_it_is.into_iter().chain(self.places.iter().copied())
+    }
+}
+
+impl Place {
+    /// A place for an instance at rest.
+    pub fn at_rest(map: Affine) -> Place {
+        Place { map, end: None }
+    }
 }
 
 /// What the file says about light.
@@ -104,11 +128,16 @@ impl SceneFile {
         }
         let mut instances = Vec::new();
         for (number, model) in (0u32..).zip(&self.models) {
-            let as_it_is = if model.places.is_empty() { &[Affine::IDENTITY][..] } else { &[] };
-            let maps = as_it_is.iter().chain(&model.places);
-            instances.extend(maps.map(|map| Instance { model: number, map: *map }));
+            instances.extend(model.places().map(|place| Instance { model: number, map: place.map }));
         }
         Some(instances)
+    }
+
+    /// Where those of [`SceneFile::instances`] that move are when the shutter closes: for
+    /// [`Instances::move_while_open`](crate::instance::Instances::move_while_open).
+    pub fn movements(&self) -> Vec<(usize, Affine)> {
+        let places = self.models.iter().flat_map(SceneModel::places).enumerate();
+        places.filter_map(|(number, place)| Some((number, place.end?))).collect()
     }
 
     /// The scene over models that fill `bounds`, in a picture of the settings' shape. Reads the picture of the environment, if there is

@@ -234,11 +234,14 @@ fn texture_seams_do_not_show() {
     }
 }
 
+/// The normal at a corner, by what is right there and the corner's number; `None`: no corner has one.
+type NormalAt<'n> = dyn Fn([f64; 3], usize) -> Option<[f64; 3]> + 'n;
+
 /// A dome whose normals at the corners are right, turned inside out, all across, and none at all.
 #[test]
 fn normals_that_face_away() {
     let steps = 12;
-    let dome = |normal: &dyn Fn([f64; 3], usize) -> Option<[f64; 3]>| {
+    let dome = |normal: &NormalAt| {
         let mut obj = String::from("usemtl clay\n");
         let point = |i: usize, j: usize| {
             let (x, y) = (i as f64 / 6.0 - 1.0, j as f64 / 6.0 - 1.0);
@@ -267,7 +270,7 @@ fn normals_that_face_away() {
     };
     let place = tempfile::tempdir().unwrap();
     let lamp = Light::directional([-0.5, 0.3, -1.0], [1.0; 3]);
-    let picture = |normal: &dyn Fn([f64; 3], usize) -> Option<[f64; 3]>| {
+    let picture = |normal: &NormalAt| {
         let source = compiled(place.path(), &dome(normal), "newmtl clay\nKd 0.8 0.8 0.8\n", 4 << 10);
         let camera = Camera::pinhole([1.0, -2.0, 5.0], [0.0, 0.0, 0.8], [0.0, 1.0, 0.0], 25.0).unwrap();
         let image = render(&source, &Scene::new(camera).with_light(lamp), &RenderSettings::new(40, 40));
@@ -287,7 +290,7 @@ fn normals_that_face_away() {
         assert!((smooth - flat).abs() < 0.15, "{smooth} {flat}");
     }
     // Across, from behind one by one, of no use at all: never more light than there is, nothing lost that the triangle would show, no NaN.
-    let wrong: [&dyn Fn([f64; 3], usize) -> Option<[f64; 3]>; 4] = [
+    let wrong: [&NormalAt; 4] = [
         &|[x, y, _], _| Some(unit([1.0 + x, y, 0.0])),
         &|normal, count| Some(if count % 3 == 0 { normal.map(|x| -x) } else { normal }),
         &|[x, y, z], _| Some([-y, x, -0.1 * z]),

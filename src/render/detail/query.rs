@@ -42,6 +42,8 @@ pub(crate) struct SurfaceQuery<'s, Q> {
     rays: Vec<Ray>,
     after: Vec<(f64, TriangleId)>,
     hits: Vec<Option<Hit>>,
+    /// When the rays of the call are traced, if instances move.
+    times: Vec<f64>,
 }
 
 impl<Q> SurfaceQuery<'_, Q> {
@@ -65,6 +67,7 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
             rays: Vec::new(),
             after: Vec::new(),
             hits: Vec::new(),
+            times: Vec::new(),
         }
     }
 
@@ -159,6 +162,10 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
             let count = self.places.len();
             self.counters.cutout_rays += count as u64;
             self.hits.resize(self.hits.len().max(count), None);
+            if !self.times.is_empty() {
+                let times = &self.times;
+                self.geometry.at_times(&mut self.places.iter().map(|place| times[*place as usize]));
+            }
             self.geometry.closest_hits_after(&self.rays, &self.after, &mut self.hits[..count])?;
             let mut left = 0;
             for index in 0..count {
@@ -225,6 +232,20 @@ impl<Q: RayQuery> RayQuery for SurfaceQuery<'_, Q> {
         };
         self.geometry.occluded(rays, Some(passed), out)?;
         self.occluded_behind_cut_outs(rays, ignore, out)
+    }
+
+    fn at_times(&mut self, times: &mut dyn Iterator<Item = f64>) {
+        // Where nothing is cut out, no ray goes on by itself.
+        if self.stage.cut_outs.is_none() {
+            return self.geometry.at_times(times);
+        }
+        self.times.clear();
+        self.times.extend(times);
+        self.geometry.at_times(&mut self.times.iter().copied());
+    }
+
+    fn at_time(&mut self, time: f64) {
+        self.geometry.at_time(time);
     }
 
     fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {

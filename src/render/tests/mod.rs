@@ -268,7 +268,7 @@ fn render_until(
     let naive = || Ok(Naive { mesh: mesh.clone(), counters: TraceCounters::default(), rays_left });
     let picture = picture(&stage, threads, &budget, &naive, &|_| None, progress)?;
     // Only the film lives on.
-    assert_eq!(budget.used(), Film::bytes_needed(&stage.grid, Kept::by(settings)));
+    assert_eq!(budget.used(), Film::bytes_needed(&stage.grid, crate::render::Kept::by(settings)));
     Ok(picture)
 }
 
