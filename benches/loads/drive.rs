@@ -3,7 +3,10 @@
 use outcrop::LazyOctree;
 use outcrop::procedural::Gears;
 use outcrop::stats::TraceCounters;
-use outcrop::trace::{Answers, AnyRequest, ClosestRequest, Hit, Occlusion, OnMissing, PoolOptions, RayPool};
+use outcrop::trace::{
+    Answers, AnyRequest, ClosestRequest, Hit, LoadStats, LoaderOptions, Occlusion, OnMissing, PoolOptions,
+    RayPool,
+};
 
 use crate::mixes::{Mix, shadow_ray};
 use crate::rays::camera_ray;
@@ -20,10 +23,16 @@ pub enum Order {
         suspended: u32,
         /// Of a ray that spawns others; shadow rays have 1.
         weight: u32,
+        /// Whether that is for each ray that may still follow, rather than for any.
+        by_depth: bool,
         /// Whether camera rays load what they miss.
         camera_loads: bool,
         /// Whether the shadow rays of camera rays do.
         shadows_load: bool,
+        /// Threads that load; with 0 the one that traces does.
+        threads: u32,
+        /// See `LoaderOptions::loads_in_flight`.
+        in_flight: u32,
     },
 }
 
@@ -32,6 +41,7 @@ pub enum Order {
 pub struct Run {
     pub sum: u64,
     pub counters: TraceCounters,
+    pub stats: LoadStats,
 }
 
 /// The pixel at a place of the Z curve through a square picture.
@@ -63,18 +73,26 @@ fn occlusion_sum(tag: u64, occlusion: Occlusion) -> u64 {
 pub fn run(octree: &LazyOctree, mix: Mix, side: u32, order: Order) -> Run {
     match order {
         Order::DepthFirst => depth_first(octree, mix, side),
-        Order::Pool { suspended, weight, camera_loads, shadows_load } => {
+        Order::Pool { suspended, weight, by_depth, camera_loads, shadows_load, threads, in_flight } => {
+            let ample = "the budget is ample";
             let options = PoolOptions { suspended, ignore: None };
-            let pool = octree.ray_pool(options).expect("the budget is ample");
-            let path = OnMissing::Wait { weight };
             let shadow = OnMissing::Wait { weight: 1 };
             let on_missing = OnMissingBy {
-                camera: if camera_loads { OnMissing::Load } else { path },
-                path,
+                camera_loads,
+                weight,
+                by_depth,
                 first_shadow: if shadows_load { OnMissing::Load } else { shadow },
                 shadow,
             };
-            Driver::new(pool, mix, side, on_missing).run()
+            if threads == 0 {
+                return Driver::new(octree.ray_pool(options).expect(ample), mix, side, on_missing).run();
+            }
+            let loader_options = LoaderOptions { loads_at_once: threads, loads_in_flight: in_flight };
+            let run = octree.with_loader(threads, loader_options, |loader| {
+                let pool = loader.ray_pool(options).expect(ample);
+                Driver::new(pool, mix, side, on_missing).run()
+            });
+            run.expect(ample)
         }
     }
 }
@@ -99,7 +117,7 @@ fn depth_first(octree: &LazyOctree, mix: Mix, side: u32) -> Run {
             (ray, depth) = (next, depth + 1);
         }
     }
-    Run { sum, counters: tracer.counters() }
+    Run { sum, counters: tracer.counters(), stats: tracer.load_stats() }
 }
 
 /// Pixels started together.
@@ -107,10 +125,24 @@ const BATCH: u32 = 256;
 
 /// What rays do about missing blocks.
 struct OnMissingBy {
-    camera: OnMissing,
-    path: OnMissing,
+    camera_loads: bool,
+    weight: u32,
+    by_depth: bool,
     first_shadow: OnMissing,
     shadow: OnMissing,
+}
+
+impl OnMissingBy {
+    /// What a path's ray does after so many others, at most `last`.
+    fn path(&self, depth: u32, last: u32) -> OnMissing {
+        if depth == 0 && self.camera_loads {
+            OnMissing::Load
+        } else if self.by_depth {
+            OnMissing::Wait { weight: self.weight * (last + 1 - depth) }
+        } else {
+            OnMissing::Wait { weight: self.weight }
+        }
+    }
 }
 
 struct Driver<'o> {
@@ -121,7 +153,8 @@ struct Driver<'o> {
     answers: Answers,
     /// Direction of each path's ray, which the pool does not give back.
     directions: Vec<[f64; 3]>,
-    onward: Vec<ClosestRequest>,
+    /// By depth.
+    onward: Vec<Vec<ClosestRequest>>,
     /// Shadow rays of camera rays, and of others.
     shadows: [Vec<AnyRequest>; 2],
     sum: u64,
@@ -136,7 +169,7 @@ impl<'o> Driver<'o> {
             on_missing,
             answers: Answers::with_capacity(Gears::LAMPS.len() * RayPool::RESUMED_MAX),
             directions: vec![[0.0; 3]; (side * side) as usize],
-            onward: Vec::new(),
+            onward: vec![Vec::new(); mix.depth() as usize + 1],
             shadows: [Vec::new(), Vec::new()],
             sum: 0,
         }
@@ -152,13 +185,12 @@ impl<'o> Driver<'o> {
                     let (x, y) = pixel(index);
                     let ray = camera_ray([x, y], self.side);
                     self.directions[index as usize] = ray.direction;
-                    self.onward.push(ClosestRequest { ray, after: None, tag: tag(index, 0, 7) });
+                    self.onward[0].push(ClosestRequest { ray, after: None, tag: tag(index, 0, 7) });
                 }
                 next = end;
-                self.pool.closest_hits(&self.onward, self.on_missing.camera, &mut self.answers).expect(sound);
-                self.onward.clear();
+                self.ask();
             } else if !self.pool.resume(&mut self.answers).expect(sound) && next == self.side * self.side {
-                return Run { sum: self.sum, counters: self.pool.counters() };
+                return Run { sum: self.sum, counters: self.pool.counters(), stats: self.pool.load_stats() };
             }
             while !self.answers.hits.is_empty() || !self.answers.occlusions.is_empty() {
                 self.shade();
@@ -167,9 +199,17 @@ impl<'o> Driver<'o> {
                     self.pool.occluded(shadows, on_missing, &mut self.answers).expect(sound);
                     shadows.clear();
                 }
-                self.pool.closest_hits(&self.onward, self.on_missing.path, &mut self.answers).expect(sound);
-                self.onward.clear();
+                self.ask();
             }
+        }
+    }
+
+    /// Asks the pool for the first hits of the rays listed.
+    fn ask(&mut self) {
+        for (rays, depth) in self.onward.iter_mut().zip(0..) {
+            let on_missing = self.on_missing.path(depth, self.mix.depth());
+            self.pool.closest_hits(rays, on_missing, &mut self.answers).expect("the model is sound");
+            rays.clear();
         }
     }
 
@@ -195,7 +235,8 @@ impl<'o> Driver<'o> {
                 continue;
             };
             *direction = ray.direction;
-            self.onward.push(ClosestRequest { ray, after: None, tag: tag(index, depth + 1, 7) });
+            let next = ClosestRequest { ray, after: None, tag: tag(index, depth + 1, 7) };
+            self.onward[depth as usize + 1].push(next);
         }
     }
 }

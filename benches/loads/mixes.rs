@@ -29,7 +29,8 @@ impl Mix {
         }
     }
 
-    fn depth(self) -> u32 {
+    /// Most rays that follow a path's first.
+    pub fn depth(self) -> u32 {
         match self {
             Mix::Shadows => 0,
             Mix::Bounces => 3,
