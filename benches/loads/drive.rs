@@ -1,11 +1,16 @@
-//! A picture's rays, depth first through a tracer or through a pool.
+//! A picture's rays, depth first through a tracer or through a pool. Shared with the bench of the paper's tables.
+#![allow(dead_code)]
+
+use std::ops::Range;
 
 use outcrop::LazyOctree;
+use outcrop::error::TraceError;
+use outcrop::geom::Ray;
 use outcrop::procedural::Gears;
 use outcrop::stats::TraceCounters;
 use outcrop::trace::{
     Answers, AnyRequest, ClosestRequest, Hit, LoadStats, LoaderOptions, Occlusion, OnMissing, PoolOptions,
-    RayPool,
+    RayPool, Tracer,
 };
 
 use crate::mixes::{Mix, shadow_ray};
@@ -34,6 +39,21 @@ pub enum Order {
         /// See `LoaderOptions::loads_in_flight`.
         in_flight: u32,
     },
+}
+
+impl Order {
+    /// A pool of the usual size, every ray of which waits, with so many threads that load.
+    pub fn pool(threads: u32, in_flight: u32) -> Order {
+        Order::Pool {
+            suspended: 1 << 14,
+            weight: 4,
+            by_depth: true,
+            camera_loads: false,
+            shadows_load: false,
+            threads,
+            in_flight,
+        }
+    }
 }
 
 /// What a run did; the sum is over all answers, in no order.
@@ -69,10 +89,10 @@ fn occlusion_sum(tag: u64, occlusion: Occlusion) -> u64 {
     mix(tag ^ (occlusion as u64) << 60)
 }
 
-/// Traces a picture of `side` x `side` pixels, a power of two.
-pub fn run(octree: &LazyOctree, mix: Mix, side: u32, order: Order) -> Run {
+/// Traces those pixels of a picture of `side` x `side`, a power of two, that have these places on the Z curve.
+pub fn run(octree: &LazyOctree, mix: Mix, side: u32, order: Order, pixels: Range<u32>) -> Run {
     match order {
-        Order::DepthFirst => depth_first(octree, mix, side),
+        Order::DepthFirst => depth_first(octree, mix, side, pixels),
         Order::Pool { suspended, weight, by_depth, camera_loads, shadows_load, threads, in_flight } => {
             let ample = "the budget is ample";
             let options = PoolOptions { suspended, ignore: None };
@@ -85,39 +105,46 @@ pub fn run(octree: &LazyOctree, mix: Mix, side: u32, order: Order) -> Run {
                 shadow,
             };
             if threads == 0 {
-                return Driver::new(octree.ray_pool(options).expect(ample), mix, side, on_missing).run();
+                return Driver::new(octree.ray_pool(options).expect(ample), mix, side, on_missing)
+                    .run(pixels);
             }
             let loader_options = LoaderOptions { loads_at_once: threads, loads_in_flight: in_flight };
             let run = octree.with_loader(threads, loader_options, |loader| {
                 let pool = loader.ray_pool(options).expect(ample);
-                Driver::new(pool, mix, side, on_missing).run()
+                Driver::new(pool, mix, side, on_missing).run(pixels)
             });
             run.expect(ample)
         }
     }
 }
 
-fn depth_first(octree: &LazyOctree, mix: Mix, side: u32) -> Run {
+fn depth_first(octree: &LazyOctree, mix: Mix, side: u32, pixels: Range<u32>) -> Run {
     let mut tracer = octree.tracer().expect("the budget is ample");
     let mut sum = 0u64;
-    let mut occlusions = [Occlusion::Clear; Gears::LAMPS.len()];
-    for index in 0..side * side {
+    for index in pixels {
         let (x, y) = pixel(index);
-        let (mut ray, mut depth) = (camera_ray([x, y], side), 0);
-        loop {
-            let hit = tracer.closest_hit(&ray).expect("the model is sound");
-            sum = sum.wrapping_add(hit_sum(tag(index, depth, 7), &hit));
-            let Some(hit) = hit else { break };
-            let shadows = Gears::LAMPS.map(|lamp| shadow_ray(&hit, lamp, 0).ray);
-            tracer.occluded(&shadows, None, &mut occlusions).expect("the model is sound");
-            for (lamp, occlusion) in (0..).zip(occlusions) {
-                sum = sum.wrapping_add(occlusion_sum(tag(index, depth, lamp), occlusion));
-            }
-            let Some(next) = mix.onward(&hit, ray.direction, index, depth) else { break };
-            (ray, depth) = (next, depth + 1);
-        }
+        let one = path(&mut tracer, mix, camera_ray([x, y], side), index).expect("the model is sound");
+        sum = sum.wrapping_add(one);
     }
     Run { sum, counters: tracer.counters(), stats: tracer.load_stats() }
+}
+
+/// All rays of one pixel; the sum over their answers.
+pub fn path(tracer: &mut Tracer<'_>, mix: Mix, mut ray: Ray, index: u32) -> Result<u64, TraceError> {
+    let mut occlusions = [Occlusion::Clear; Gears::LAMPS.len()];
+    let (mut sum, mut depth) = (0u64, 0);
+    loop {
+        let hit = tracer.closest_hit(&ray)?;
+        sum = sum.wrapping_add(hit_sum(tag(index, depth, 7), &hit));
+        let Some(hit) = hit else { return Ok(sum) };
+        let shadows = Gears::LAMPS.map(|lamp| shadow_ray(&hit, lamp, 0).ray);
+        tracer.occluded(&shadows, None, &mut occlusions)?;
+        for (lamp, occlusion) in (0..).zip(occlusions) {
+            sum = sum.wrapping_add(occlusion_sum(tag(index, depth, lamp), occlusion));
+        }
+        let Some(next) = mix.onward(&hit, ray.direction, index, depth) else { return Ok(sum) };
+        (ray, depth) = (next, depth + 1);
+    }
 }
 
 /// Pixels started together.
@@ -175,12 +202,12 @@ impl<'o> Driver<'o> {
         }
     }
 
-    fn run(mut self) -> Run {
-        let mut next = 0;
+    fn run(mut self, pixels: Range<u32>) -> Run {
+        let mut next = pixels.start;
         let sound = "the model is sound";
         loop {
-            if next < self.side * self.side && self.pool.wants_rays() {
-                let end = (next + BATCH).min(self.side * self.side);
+            if next < pixels.end && self.pool.wants_rays() {
+                let end = (next + BATCH).min(pixels.end);
                 for index in next..end {
                     let (x, y) = pixel(index);
                     let ray = camera_ray([x, y], self.side);
@@ -189,7 +216,7 @@ impl<'o> Driver<'o> {
                 }
                 next = end;
                 self.ask();
-            } else if !self.pool.resume(&mut self.answers).expect(sound) && next == self.side * self.side {
+            } else if !self.pool.resume(&mut self.answers).expect(sound) && next == pixels.end {
                 return Run { sum: self.sum, counters: self.pool.counters(), stats: self.pool.load_stats() };
             }
             while !self.answers.hits.is_empty() || !self.answers.occlusions.is_empty() {

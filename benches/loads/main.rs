@@ -240,7 +240,7 @@ impl Bench {
         let budget = MemoryBudget::new(Bytes(1 << 40));
         let octree = LazyOctree::open(source, &budget, octree_options).expect("the budget is ample");
         let (start, cpu) = (Instant::now(), processor_time());
-        let run = run(&octree, mix, self.side, order);
+        let run = run(&octree, mix, self.side, order, 0..self.side * self.side);
         Measured { run, wall: start.elapsed().as_secs_f64(), cpu: processor_time() - cpu }
     }
 }
