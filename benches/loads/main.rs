@@ -1,10 +1,14 @@
 //! How often blocks are loaded when the cache is smaller than the model, depth first and through a pool of suspended
 //! rays, for three mixes of rays.
 //!
-//!     cargo bench --bench loads -- [MODEL] [--side N] [--pool N] [--weight N] [--percent N,...] [--mix N] [--only-pool] [--camera-loads]
-//!         [--shadows-load]
+//!     cargo bench --bench loads -- [MODEL] [--side N] [--pool N] [--weight N] [--by-depth] [--percent N,...] [--mix N] [--only-pool]
+//!         [--camera-loads] [--shadows-load] [--threads N] [--in-flight N] [--slow] [--times N]
 //!
-//! MODEL: `gearsN` (made here) or a model or compiled file. Answers of all runs are compared.
+//! MODEL: `gearsN` (made here) or a model or compiled file. Answers of all runs are compared. Blocks are read past the page cache.
+//!
+//! `--threads`: that many threads load for the pool, instead of the one that traces. `--slow`: each read takes 5 ms more, and
+//! all share 40 MB/s. `--times`: instead of counts, times with a slot for each block and with each percentage, as many times in turn, and their
+//! medians.
 
 mod drive;
 mod mixes;
@@ -13,13 +17,14 @@ mod rays;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use drive::{Order, Run, run};
 use mixes::Mix;
 use outcrop::compile::{CompileOptions, Control, compile_file, compile_shape};
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::Gears;
+use outcrop::source::testing::SlowSource;
 use outcrop::source::{BlockSource, DiskSource, PageCache};
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
@@ -34,6 +39,11 @@ struct Options {
     only_pool: bool,
     camera_loads: bool,
     shadows_load: bool,
+    by_depth: bool,
+    threads: u32,
+    in_flight: u32,
+    slow: bool,
+    times: usize,
 }
 
 impl Options {
@@ -49,6 +59,11 @@ impl Options {
             only_pool: false,
             camera_loads: false,
             shadows_load: false,
+            by_depth: false,
+            threads: 0,
+            in_flight: 8,
+            slow: false,
+            times: 0,
         };
         let mut parser = lexopt::Parser::from_env();
         while let Some(argument) = parser.next()? {
@@ -62,6 +77,11 @@ impl Options {
                 Long("only-pool") => options.only_pool = true,
                 Long("camera-loads") => options.camera_loads = true,
                 Long("shadows-load") => options.shadows_load = true,
+                Long("by-depth") => options.by_depth = true,
+                Long("threads") => options.threads = parser.value()?.parse()?,
+                Long("in-flight") => options.in_flight = parser.value()?.parse()?,
+                Long("slow") => options.slow = true,
+                Long("times") => options.times = parser.value()?.parse()?,
                 // `cargo bench` adds it.
                 Long("bench") => {}
                 // As for criterion's benches: once, small, only to see that it runs and that all answers are the same.
@@ -100,49 +120,138 @@ fn compiled(model: &str, folder: &Path) -> PathBuf {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let options = Options::parse()?;
     let folder = tempfile::tempdir()?;
-    let path = compiled(&options.model, folder.path());
+    let bench =
+        Bench { path: compiled(&options.model, folder.path()), side: options.side, slow: options.slow };
     println!("{}, {} x {} pixels", options.model, options.side, options.side);
     for mix in &options.mixes {
-        let (whole, seconds) = measured(&path, *mix, options.side, 100.0, Order::DepthFirst);
-        // What plain tracing in order touches, each once.
-        let touched = whole.counters.blocks_loaded;
-        println!(
-            "{}: {} rays, {touched} blocks touched, {:.2} s with a slot for each",
-            mix.name(),
-            whole.counters.rays,
-            seconds
-        );
-        let pools = options.pools.iter().map(|suspended| Order::Pool {
-            suspended: *suspended,
-            weight: options.weight,
-            camera_loads: options.camera_loads,
-            shadows_load: options.shadows_load,
-        });
-        let depth_first = (!options.only_pool).then_some(Order::DepthFirst);
-        for order in depth_first.into_iter().chain(pools) {
-            for percent in &options.percents {
-                let (part, part_seconds) = measured(&path, *mix, options.side, *percent, order);
-                assert_eq!(part.sum, whole.sum, "answers depend on the cache or the order");
-                println!(
-                    "  {percent:>4} % {order:?}: {:.3} loads per touched block, {:.2} of the time, peak {}",
-                    part.counters.blocks_loaded as f64 / touched as f64,
-                    part_seconds / seconds,
-                    part.counters.suspended_peak,
-                );
-            }
+        if options.times > 0 {
+            times(&bench, *mix, &options);
+        } else {
+            counts(&bench, *mix, &options);
         }
     }
     Ok(())
 }
 
-/// A run from a cold octree, past the page cache.
-fn measured(path: &Path, mix: Mix, side: u32, percent: f64, order: Order) -> (Run, f64) {
-    let source = Arc::new(DiskSource::open_with(path, PageCache::Bypass).expect("a compiled file"));
-    let slots = (source.model().blocks.len() as f64 * percent / 100.0).ceil() as u32;
-    let octree_options = OctreeOptions { slots_max: Some(slots), ..OctreeOptions::default() };
-    let budget = MemoryBudget::new(Bytes(1 << 40));
-    let octree = LazyOctree::open(source, &budget, octree_options).expect("the budget is ample");
-    let start = Instant::now();
-    let run = run(&octree, mix, side, order);
-    (run, start.elapsed().as_secs_f64())
+impl Options {
+    fn pools(&self) -> impl Iterator<Item = Order> + '_ {
+        self.pools.iter().map(|suspended| Order::Pool {
+            suspended: *suspended,
+            weight: self.weight,
+            by_depth: self.by_depth,
+            camera_loads: self.camera_loads,
+            shadows_load: self.shadows_load,
+            threads: self.threads,
+            in_flight: self.in_flight,
+        })
+    }
+}
+
+/// Loads per touched block.
+fn counts(bench: &Bench, mix: Mix, options: &Options) {
+    let whole = bench.measured(mix, 100.0, Order::DepthFirst);
+    // What plain tracing in order touches, each once.
+    let touched = whole.run.counters.blocks_loaded;
+    println!(
+        "{}: {} rays, {touched} blocks touched, {:.2} s with a slot for each",
+        mix.name(),
+        whole.run.counters.rays,
+        whole.wall
+    );
+    let depth_first = (!options.only_pool).then_some(Order::DepthFirst);
+    for order in depth_first.into_iter().chain(options.pools()) {
+        for percent in &options.percents {
+            let part = bench.measured(mix, *percent, order);
+            assert_eq!(part.run.sum, whole.run.sum, "answers depend on the cache or the order");
+            println!(
+                "  {percent:>4} % {order:?}: {:.3} loads per touched block, {:.2} of the time, peak {}",
+                part.run.counters.blocks_loaded as f64 / touched as f64,
+                part.wall / whole.wall,
+                part.run.counters.suspended_peak,
+            );
+        }
+    }
+}
+
+/// Wall and processor time and stall, of runs in turn.
+fn times(bench: &Bench, mix: Mix, options: &Options) {
+    for order in options.pools() {
+        println!("{}, {order:?}", mix.name());
+        println!(
+            "| slots | wall s | CPU s | stall | loads | MB read | in flight | wall / wall of 100 % | CPU / CPU |"
+        );
+        println!("|---|---|---|---|---|---|---|---|---|");
+        let percents: Vec<f64> = [100.0].into_iter().chain(options.percents.iter().copied()).collect();
+        let mut runs = vec![Vec::new(); percents.len()];
+        for _ in 0..options.times {
+            for (percent, runs) in percents.iter().zip(&mut runs) {
+                runs.push(bench.measured(mix, *percent, order));
+            }
+        }
+        let median = |runs: &[Measured], of: fn(&Measured) -> f64| {
+            let mut values: Vec<f64> = runs.iter().map(of).collect();
+            values.sort_by(f64::total_cmp);
+            values[values.len() / 2]
+        };
+        let (wall, cpu) = (|run: &Measured| run.wall, |run: &Measured| run.cpu);
+        for (percent, these) in percents.iter().zip(&runs) {
+            assert!(these.iter().all(|run| run.run.sum == runs[0][0].run.sum), "answers depend on the cache");
+            println!(
+                "| {percent} % | {:.2} | {:.2} | {:.1} % | {:.0} | {:.0} | {:.0} | {:.2} | {:.2} |",
+                median(these, wall),
+                median(these, cpu),
+                100.0 * median(these, |run| run.run.stats.stall.as_secs_f64() / run.wall),
+                median(these, |run| run.run.counters.blocks_loaded as f64),
+                median(these, |run| run.run.counters.bytes_read as f64 / 1e6),
+                median(these, |run| f64::from(run.run.stats.in_flight_peak)),
+                median(these, wall) / median(&runs[0], wall),
+                median(these, cpu) / median(&runs[0], cpu),
+            );
+        }
+    }
+}
+
+struct Bench {
+    path: PathBuf,
+    side: u32,
+    slow: bool,
+}
+
+#[derive(Clone, Copy)]
+struct Measured {
+    run: Run,
+    /// In seconds.
+    wall: f64,
+    /// Processor time of all threads in seconds.
+    cpu: f64,
+}
+
+impl Bench {
+    /// A run from a cold octree, past the page cache.
+    fn measured(&self, mix: Mix, percent: f64, order: Order) -> Measured {
+        let disk = DiskSource::open_with(&self.path, PageCache::Bypass).expect("a compiled file");
+        let source: Arc<dyn BlockSource> = if self.slow {
+            Arc::new(SlowSource::new(disk, Duration::from_millis(5), Some(40_000_000)))
+        } else {
+            Arc::new(disk)
+        };
+        let slots = (source.model().blocks.len() as f64 * percent / 100.0).ceil() as u32;
+        let octree_options = OctreeOptions { slots_max: Some(slots), ..OctreeOptions::default() };
+        let budget = MemoryBudget::new(Bytes(1 << 40));
+        let octree = LazyOctree::open(source, &budget, octree_options).expect("the budget is ample");
+        let (start, cpu) = (Instant::now(), processor_time());
+        let run = run(&octree, mix, self.side, order, 0..self.side * self.side);
+        Measured { run, wall: start.elapsed().as_secs_f64(), cpu: processor_time() - cpu }
+    }
+}
+
+/// Of this process, in seconds; 0 where it cannot be asked.
+fn processor_time() -> f64 {
+    #[cfg(unix)]
+    {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+        time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
+    }
+    #[cfg(not(unix))]
+    0.0
 }

@@ -1,4 +1,5 @@
-//! Rays as renders make them: what a path does at each hit.
+//! Rays as renders make them: what a path does at each hit. Shared with the bench of the paper's tables.
+#![allow(dead_code)]
 
 use outcrop::geom::{Ray, offset_origin};
 use outcrop::trace::{AnyRequest, Hit};
@@ -16,6 +17,8 @@ pub enum Mix {
     /// Everything is glass: at each hit the ray is refracted or reflected, by chance after Fresnel, to depth 12, with shadow
     /// rays at each hit.
     Glass,
+    /// Every second piece of so many triangles is glass, as in `Glass`; to so many rays that follow a path's first.
+    Pieces { triangles: u64, depth: u32 },
 }
 
 impl Mix {
@@ -26,14 +29,17 @@ impl Mix {
             Mix::Shadows => "primary and shadows",
             Mix::Bounces => "three bounces",
             Mix::Glass => "glass to depth 12",
+            Mix::Pieces { .. } => "every second piece glass",
         }
     }
 
-    fn depth(self) -> u32 {
+    /// Most rays that follow a path's first.
+    pub fn depth(self) -> u32 {
         match self {
             Mix::Shadows => 0,
             Mix::Bounces => 3,
             Mix::Glass => 12,
+            Mix::Pieces { depth, .. } => depth,
         }
     }
 
@@ -53,7 +59,8 @@ impl Mix {
                 let any = any_direction(&mut random);
                 unit([0, 1, 2].map(|axis| 1.0001 * normal[axis] + any[axis]))
             }
-            Mix::Glass => through_glass(hit, direction, normal, &mut random),
+            Mix::Pieces { triangles, .. } if (hit.triangle.0 / triangles).is_multiple_of(2) => return None,
+            Mix::Glass | Mix::Pieces { .. } => through_glass(hit, direction, normal, &mut random),
         };
         let origin = offset_origin(hit.position(), hit.position_error(), hit.normal(), outward);
         Some(Ray::new(origin, outward))

@@ -1,7 +1,7 @@
 //! Paths of rays through a model, one for each pixel, straight on a tracer: what records of block accesses are made of.
 
 #[path = "rays.rs"]
-mod rays;
+pub mod rays;
 
 use outcrop::error::TraceError;
 use outcrop::geom::{Ray, offset_origin};

@@ -1,5 +1,7 @@
 //! Bringing blocks in: read, check, decode, build; and the pins that a tracer keeps.
 
+use std::time::{Duration, Instant};
+
 use crate::access::{AccessLog, QueryKind};
 use crate::block::{BlockData, DecodeScratch};
 use crate::cache::Pin;
@@ -9,6 +11,19 @@ use crate::source::BlockSource;
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
 
+/// How the loads of a tracer or a pool went; how many there were and what was read stands in its [`TraceCounters`]. Not exact:
+/// it depends on the clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LoadStats {
+    /// How long its thread did not trace because of loads: reading, decoding and building blocks itself, and `stall`.
+    pub loading: Duration,
+    /// Of that, how long the thread waited: for its own reads, for a loader because no other ray could run, for loads of other
+    /// threads, for slots.
+    pub stall: Duration,
+    /// Most loads that were asked of a loader, or had ended and waited for their turn, at one time.
+    pub in_flight_peak: u32,
+}
+
 /// Memory for loading one block, allocated once.
 pub(super) struct LoadScratch {
     stored: Vec<u8>,
@@ -17,6 +32,7 @@ pub(super) struct LoadScratch {
     build: BuildScratch,
     /// Blocks that were filled since the list was last emptied; what finds no room is left out.
     filled: Vec<BlockId>,
+    stats: LoadStats,
 }
 
 /// How many blocks the list of those filled holds.
@@ -31,12 +47,18 @@ impl LoadScratch {
             data: BlockData::with_limits(limits),
             build: BuildScratch::new(limits.triangle_count_max(), limits.vertex_count_max()),
             filled: Vec::with_capacity(FILLED_MAX),
+            stats: LoadStats::default(),
         }
     }
 
     /// Blocks that were filled since the last call, as far as they were noted.
     pub fn take_filled(&mut self) -> impl Iterator<Item = BlockId> + '_ {
         self.filled.drain(..)
+    }
+
+    /// How the loads of this thread went so far.
+    pub fn stats(&self) -> LoadStats {
+        self.stats
     }
 
     /// Fills a slot with the tree of `block`.
@@ -47,7 +69,10 @@ impl LoadScratch {
         slot: &mut [u8],
         counters: &mut TraceCounters,
     ) -> Result<(), LoadError> {
-        octree.source.read_block(block, &mut self.stored)?;
+        let start = Instant::now();
+        let read = octree.source.read_block(block, &mut self.stored);
+        self.stats.stall += start.elapsed();
+        read?;
         let entry = octree.entry(block);
         let entry = entry.ok_or(BlockError { block, offset: 0, reason: "the model has no such block" })?;
         octree.model.decode_entry(block, entry, &self.stored, &mut self.decode, &mut self.data)?;
@@ -135,12 +160,24 @@ impl<'o> Pins<'o> {
     }
 }
 
+/// Pins a block, which is loaded if it is not resident.
 #[inline(never)]
-fn pin<'o>(
+pub(super) fn pin<'o>(
     octree: &'o LazyOctree,
     block: BlockId,
     scratch: &mut LoadScratch,
     counters: &mut TraceCounters,
 ) -> Result<Pin<'o>, LoadError> {
-    octree.cache.pin(block, &mut |slot| scratch.fill(octree, block, slot, counters))
+    let start = Instant::now();
+    let mut filling = Duration::ZERO;
+    let pinned = octree.cache.pin(block, &mut |slot| {
+        let start = Instant::now();
+        let filled = scratch.fill(octree, block, slot, counters);
+        filling += start.elapsed();
+        filled
+    });
+    let whole = start.elapsed();
+    scratch.stats.loading += whole;
+    scratch.stats.stall += whole.saturating_sub(filling);
+    pinned
 }

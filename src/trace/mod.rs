@@ -4,7 +4,7 @@
 //! traced. Rays of one call are traced in the order given, and no result depends on that order.
 //!
 //! A tracer waits for every block that is missing. A [`RayPool`] puts the ray aside instead and goes on with others, so
-//! that one load serves all rays that need it; it answers in any order.
+//! that one load serves all rays that need it; it answers in any order. A [`BlockLoader`] loads for it while it traces.
 //!
 //! # Example
 //! How much of a ball lies on a line, and which points of it see each other:
@@ -57,8 +57,10 @@ mod closest;
 mod crossings;
 mod exact;
 mod hit;
+mod in_flight;
 mod keep;
 mod load;
+mod loader;
 mod policy;
 mod pool;
 mod requests;
@@ -69,6 +71,8 @@ mod tracer;
 
 pub use crossings::Crossing;
 pub use hit::{Hit, MaterialSet, Occlusion};
+pub use load::LoadStats;
+pub use loader::{BlockLoader, LoaderOptions};
 pub use pool::{PoolOptions, RayPool};
 pub use requests::{Answers, AnyRequest, ClosestRequest, OnMissing};
 pub use tracer::Tracer;

@@ -2,12 +2,15 @@
 
 use super::any::{Unvisited, occlusion};
 use super::closest::{Prepared, closest_hit};
+use super::in_flight::{Arrival, InFlight};
+use super::loader::BlockLoader;
 use super::policy::Policy;
 use super::suspended::{Query, SuspendedRays};
 use super::tracer::{Query as Kernel, enter};
-use super::{Answers, AnyRequest, ClosestRequest, MaterialSet, OnMissing, Tracer};
+use super::{Answers, AnyRequest, ClosestRequest, LoadStats, MaterialSet, OnMissing, Tracer};
 use crate::access::QueryKind;
 use crate::budget::Reservation;
+use crate::cache::Pin;
 use crate::error::TraceError;
 use crate::octree::{LazyOctree, LocalRay, QueryRay, RayGroup};
 use crate::simd::{AnyOperation, Simd, dispatch};
@@ -50,6 +53,9 @@ impl PoolOptions {
 /// Answers are those of a [`Tracer`], whatever the pool's size and order (I2). When the pool is full, rays load what
 /// they need, depth first: nothing fails and nothing grows.
 ///
+/// A pool from [`LazyOctree::ray_pool`] loads blocks on its own thread and traces nothing meanwhile. One from
+/// [`BlockLoader::ray_pool`] has the loader load them, and traces on as long as there is anything to trace.
+///
 /// ```
 /// # use std::sync::Arc;
 /// # use outcrop::block::{BlockLimits, Codec};
@@ -86,12 +92,21 @@ pub struct RayPool<'o> {
     /// Blocks that rays wait for and that were loaded for others.
     loaded: Vec<BlockId>,
     /// The block whose rays did not all run in one resumption.
-    current: Option<BlockId>,
+    current: Option<Current<'o>>,
+    /// `None` if the pool's own thread loads.
+    in_flight: Option<InFlight<'o>>,
     _reservation: Reservation,
 }
 
 /// How many blocks loaded for others are remembered.
 const LOADED_MAX: usize = 256;
+
+/// A block whose rays run.
+struct Current<'o> {
+    block: BlockId,
+    /// Of a block that came by a loader: keeps it until all its rays have run.
+    pin: Option<Pin<'o>>,
+}
 
 impl LazyOctree {
     /// A pool of rays for the calling thread, or for one that it is sent to. Counts as a tracer.
@@ -100,19 +115,18 @@ impl LazyOctree {
     /// [`TraceError::Budget`] if the budget has no room for it ([`RayPool::bytes_needed`] and a tracer's scratch), or
     /// `tracers_max` tracers live already.
     pub fn ray_pool(&self, options: PoolOptions) -> Result<RayPool<'_>, TraceError> {
-        let tracer = self.tracer()?;
-        let block_count = self.model().block_id_count() as usize;
-        let bytes = RayPool::bytes_needed(&options, block_count);
-        let reservation = self.budget.reserve(bytes, "a pool of suspended rays")?;
-        Ok(RayPool {
-            tracer,
-            suspended: SuspendedRays::new(options.capacity(), block_count),
-            wanted: options.suspended,
-            ignore: options.ignore.filter(|set| !set.is_empty()),
-            loaded: Vec::with_capacity(LOADED_MAX),
-            current: None,
-            _reservation: reservation,
-        })
+        RayPool::new(self, options, None)
+    }
+}
+
+impl<'o> BlockLoader<'o> {
+    /// As [`LazyOctree::ray_pool`], but this loads its blocks while rays of other blocks run. With fewer than four slots for each
+    /// tracer there is no slot to spare for a load in flight, and the pool's thread loads.
+    ///
+    /// # Errors
+    /// As for [`LazyOctree::ray_pool`].
+    pub fn ray_pool(&self, options: PoolOptions) -> Result<RayPool<'o>, TraceError> {
+        RayPool::new(self.octree(), options, InFlight::new(self))
     }
 }
 
@@ -120,11 +134,32 @@ impl<'o> RayPool<'o> {
     /// Most rays that one call of [`RayPool::resume`] answers.
     pub const RESUMED_MAX: usize = 1024;
 
-    /// What [`LazyOctree::ray_pool`] takes from the budget for a model of `block_count` blocks, without the tracer's
-    /// scratch.
+    fn new(
+        octree: &'o LazyOctree,
+        options: PoolOptions,
+        in_flight: Option<InFlight<'o>>,
+    ) -> Result<RayPool<'o>, TraceError> {
+        let tracer = octree.tracer()?;
+        let block_count = octree.model().block_id_count() as usize;
+        let bytes = RayPool::bytes_needed(&options, block_count);
+        let reservation = octree.budget.reserve(bytes, "a pool of suspended rays")?;
+        Ok(RayPool {
+            tracer,
+            suspended: SuspendedRays::new(options.capacity(), block_count, InFlight::MAX),
+            wanted: options.suspended,
+            ignore: options.ignore.filter(|set| !set.is_empty()),
+            loaded: Vec::with_capacity(LOADED_MAX),
+            current: None,
+            in_flight,
+            _reservation: reservation,
+        })
+    }
+
+    /// What [`LazyOctree::ray_pool`] and [`BlockLoader::ray_pool`] take from the budget for a model of `block_count`
+    /// blocks, without the tracer's scratch.
     pub fn bytes_needed(options: &PoolOptions, block_count: usize) -> Bytes {
-        let suspended = SuspendedRays::bytes_needed(options.capacity(), block_count);
-        Bytes(suspended.0 + (LOADED_MAX * size_of::<BlockId>()) as u64)
+        let suspended = SuspendedRays::bytes_needed(options.capacity(), block_count, InFlight::MAX);
+        Bytes(suspended.0 + (LOADED_MAX * size_of::<BlockId>()) as u64 + InFlight::BYTES)
     }
 
     /// Finds for each ray the hit with the least (t, triangle id). Appends to `answers` what is known at the end of the
@@ -165,21 +200,33 @@ impl<'o> RayPool<'o> {
     /// Makes one block resident, if rays wait, and runs those that wait for it, at most [`RayPool::RESUMED_MAX`];
     /// appends to `answers`. Returns whether rays waited when it was called.
     ///
+    /// With a loader, it asks for the blocks for which the most waits and runs the rays of one that has arrived; it waits if none
+    /// has.
+    ///
     /// # Errors
-    /// As for [`RayPool::closest_hits`].
+    /// As for [`RayPool::closest_hits`], for any load that was asked for.
+    ///
+    /// # Panics
+    /// If a load in the loader did.
     pub fn resume(&mut self, answers: &mut Answers) -> Result<bool, TraceError> {
-        let Some(block) = self.next_block() else { return Ok(false) };
-        self.tracer.pins.loads = true;
-        let Tracer { octree, pins, scratch, counters, .. } = &mut self.tracer;
-        pins.get(octree, block, scratch, counters)?;
-        // It may lose its slot again while they run, but not before the first of them has passed it.
+        let Some(Current { block, pin }) = self.next_block()? else { return Ok(false) };
+        if pin.is_none() {
+            self.tracer.pins.loads = true;
+            let Tracer { octree, pins, scratch, counters, .. } = &mut self.tracer;
+            pins.get(octree, block, scratch, counters)?;
+        }
+        // Without a pin of the pool's, it may lose its slot again while they run, but not before the first of them has
+        // passed it.
         let level = self.tracer.octree.level;
         let on_missing = OnMissing::Wait { weight: 1 };
         dispatch(level, Closest { pool: self, requests: &[], on_missing, block: Some(block), answers })?;
         dispatch(level, Any { pool: self, requests: &[], on_missing, block: Some(block), answers })?;
         // A queue longer than `RESUMED_MAX` goes on with the next call.
         let goes_on = self.suspended.is_awaited(block);
-        self.current = goes_on.then_some(block);
+        if pin.is_some() && !goes_on {
+            self.suspended.end_load(block);
+        }
+        self.current = goes_on.then_some(Current { block, pin });
         Ok(true)
     }
 
@@ -198,6 +245,18 @@ impl<'o> RayPool<'o> {
         TraceCounters { suspended_peak: u64::from(self.suspended.peak()), ..self.tracer.counters() }
     }
 
+    /// How its loads went so far.
+    pub fn load_stats(&self) -> LoadStats {
+        let mut stats = self.tracer.load_stats();
+        if let Some(in_flight) = &self.in_flight {
+            let LoadStats { loading, stall, in_flight_peak } = in_flight.stats();
+            stats.loading += loading;
+            stats.stall += stall;
+            stats.in_flight_peak = in_flight_peak;
+        }
+        stats
+    }
+
     /// The octree it traces.
     pub fn octree(&self) -> &'o LazyOctree {
         self.tracer.octree()
@@ -213,16 +272,25 @@ impl<'o> RayPool<'o> {
     }
 
     /// The block to run next.
-    fn next_block(&mut self) -> Option<BlockId> {
-        if let Some(block) = self.current.take() {
-            return Some(block);
+    fn next_block(&mut self) -> Result<Option<Current<'o>>, TraceError> {
+        if let Some(in_flight) = &mut self.in_flight {
+            let held = self.current.as_ref().is_some_and(|current| current.pin.is_some());
+            in_flight.collect(&mut self.suspended, &mut self.tracer.counters)?;
+            in_flight.request(&mut self.suspended, u32::from(held));
+        }
+        if let Some(current) = self.current.take() {
+            return Ok(Some(current));
         }
         while let Some(block) = self.loaded.pop() {
             if self.suspended.is_awaited(block) && self.tracer.octree.cache.is_resident(block) {
-                return Some(block);
+                return Ok(Some(Current { block, pin: None }));
             }
         }
-        self.suspended.awaited().next()
+        if let Some(in_flight) = &mut self.in_flight {
+            let arrival = in_flight.next(&mut self.suspended, &mut self.tracer.counters)?;
+            return Ok(arrival.map(|Arrival { block, pin }| Current { block, pin: Some(pin) }));
+        }
+        Ok(self.suspended.heaviest().map(|block| Current { block, pin: None }))
     }
 }
 

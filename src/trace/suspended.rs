@@ -40,7 +40,7 @@ struct Queue {
     any: List,
     /// Sum of the records' weights.
     weight: u64,
-    /// Where in the heap it is; for a free queue, the next free one.
+    /// Where in the heap it is, or `NONE` while its block is on its way in; for a free queue, the next free one.
     heap_place: u32,
 }
 
@@ -65,13 +65,15 @@ pub(super) struct SuspendedRays {
     free_queue: u32,
     /// By block.
     queue_of: Vec<u32>,
-    /// Queues that hold something: a binary heap, the greatest weight first.
+    /// Queues that hold something and whose block nobody is loading: a binary heap, the greatest weight first.
     heap: Vec<u32>,
+    /// Blocks on their way in, whose queues are not in the heap.
+    loading: Vec<BlockId>,
 }
 
 impl SuspendedRays {
-    /// Room for `capacity` rays and `block_count` blocks.
-    pub fn new(capacity: u32, block_count: usize) -> SuspendedRays {
+    /// Room for `capacity` rays, `block_count` blocks and `loading_max` of them on their way in.
+    pub fn new(capacity: u32, block_count: usize, loading_max: u32) -> SuspendedRays {
         SuspendedRays {
             records: Vec::with_capacity(capacity as usize),
             capacity,
@@ -82,13 +84,15 @@ impl SuspendedRays {
             free_queue: NONE,
             queue_of: vec![NONE; block_count],
             heap: Vec::with_capacity(capacity as usize),
+            loading: Vec::with_capacity(loading_max as usize),
         }
     }
 
     /// What [`SuspendedRays::new`] allocates.
-    pub fn bytes_needed(capacity: u32, block_count: usize) -> Bytes {
+    pub fn bytes_needed(capacity: u32, block_count: usize, loading_max: u32) -> Bytes {
         let per_ray = size_of::<Record>() + size_of::<Queue>() + size_of::<u32>();
-        Bytes(u64::from(capacity) * per_ray as u64 + (block_count * size_of::<u32>()) as u64)
+        let per_load = size_of::<BlockId>() as u64 * u64::from(loading_max);
+        Bytes(u64::from(capacity) * per_ray as u64 + (block_count * size_of::<u32>()) as u64 + per_load)
     }
 
     /// How many rays wait.
@@ -152,7 +156,10 @@ impl SuspendedRays {
             NONE => list.first = place.0,
             last => self.records[last as usize].next = place.0,
         }
-        self.sift_up(self.queues[index as usize].heap_place);
+        let heap_place = queue.heap_place;
+        if heap_place != NONE {
+            self.sift_up(heap_place);
+        }
     }
 
     /// Takes the first closest-hit query from the queue of `block`.
@@ -178,7 +185,7 @@ impl SuspendedRays {
         queue.weight -= u64::from(record.weight);
         if queue.closest.first == NONE && queue.any.first == NONE {
             self.drop_queue(index);
-        } else {
+        } else if queue.heap_place != NONE {
             self.sift_down(self.queues[index as usize].heap_place);
         }
         Some(Place(first))
@@ -194,14 +201,34 @@ impl SuspendedRays {
         self.queue_of[block.0 as usize] != NONE
     }
 
-    /// The blocks that rays wait for: first the one that it is worth most to load, then the others, roughly by worth.
-    pub fn awaited(&self) -> impl Iterator<Item = BlockId> + '_ {
-        self.heap.iter().map(|index| self.queues[*index as usize].block)
+    /// The block that it is worth most to load, of those that rays wait for and that are not on their way in.
+    pub fn heaviest(&self) -> Option<BlockId> {
+        self.heap.first().map(|index| self.queues[*index as usize].block)
+    }
+
+    /// From now on `block` is on its way in, whether rays wait for it or not.
+    pub fn begin_load(&mut self, block: BlockId) {
+        self.loading.push(block);
+        if let Some(queue) = self.queues.get(self.queue_of[block.0 as usize] as usize) {
+            let heap_place = queue.heap_place;
+            self.leave_heap(heap_place);
+            self.queues[self.queue_of[block.0 as usize] as usize].heap_place = NONE;
+        }
+    }
+
+    /// `block`, which was on its way in, is so no more.
+    pub fn end_load(&mut self, block: BlockId) {
+        if let Some(place) = self.loading.iter().position(|loading| *loading == block) {
+            self.loading.swap_remove(place);
+            let index = self.queue_of[block.0 as usize];
+            if index != NONE {
+                self.enter_heap(index);
+            }
+        }
     }
 
     fn new_queue(&mut self, block: BlockId) -> u32 {
-        let heap_place = self.heap.len() as u32;
-        let queue = Queue { block, closest: List::EMPTY, any: List::EMPTY, weight: 0, heap_place };
+        let queue = Queue { block, closest: List::EMPTY, any: List::EMPTY, weight: 0, heap_place: NONE };
         let index = match self.free_queue {
             // Every queue holds a record, so there are never more of them.
             NONE => {
@@ -214,19 +241,34 @@ impl SuspendedRays {
                 index
             }
         };
-        self.heap.push(index);
         self.queue_of[block.0 as usize] = index;
+        if !self.loading.contains(&block) {
+            self.enter_heap(index);
+        }
         index
     }
 
-    fn drop_queue(&mut self, index: u32) {
-        let Queue { block, heap_place, .. } = self.queues[index as usize];
-        self.queue_of[block.0 as usize] = NONE;
+    fn enter_heap(&mut self, index: u32) {
+        let heap_place = self.heap.len() as u32;
+        self.queues[index as usize].heap_place = heap_place;
+        self.heap.push(index);
+        self.sift_up(heap_place);
+    }
+
+    fn leave_heap(&mut self, heap_place: u32) {
         self.heap.swap_remove(heap_place as usize);
         if let Some(moved) = self.heap.get(heap_place as usize).copied() {
             self.queues[moved as usize].heap_place = heap_place;
             self.sift_up(heap_place);
             self.sift_down(self.queues[moved as usize].heap_place);
+        }
+    }
+
+    fn drop_queue(&mut self, index: u32) {
+        let Queue { block, heap_place, .. } = self.queues[index as usize];
+        self.queue_of[block.0 as usize] = NONE;
+        if heap_place != NONE {
+            self.leave_heap(heap_place);
         }
         self.queues[index as usize].heap_place = self.free_queue;
         self.free_queue = index;
@@ -269,7 +311,7 @@ impl SuspendedRays {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::{HashMap, VecDeque};
+    use std::collections::{HashMap, HashSet, VecDeque};
 
     use super::*;
 
@@ -278,7 +320,7 @@ mod tests {
     fn queues_are_what_a_naive_twin_has() {
         const CAPACITY: u32 = 50;
         const BLOCKS: u32 = 12;
-        let mut suspended = SuspendedRays::new(CAPACITY, BLOCKS as usize);
+        let mut suspended = SuspendedRays::new(CAPACITY, BLOCKS as usize, BLOCKS);
         // By block: (tag, weight) of closest-hit and any-hit queries.
         let mut twin: HashMap<u32, [VecDeque<(u64, u32)>; 2]> = HashMap::new();
         let mut state = 7u64;
@@ -287,7 +329,15 @@ mod tests {
             (state >> 33) as u32 % n
         };
         let mut peak = 0;
+        let mut loading: HashSet<u32> = HashSet::new();
         for tag in 0..20_000 {
+            // Loads begin, of blocks that rays wait for and of others, and end.
+            let block = below(BLOCKS);
+            if below(10) == 0 && loading.remove(&block) {
+                suspended.end_load(BlockId(block));
+            } else if below(20) == 0 && loading.insert(block) {
+                suspended.begin_load(BlockId(block));
+            }
             let count: usize = twin.values().flatten().map(VecDeque::len).sum();
             assert_eq!(suspended.count() as usize, count);
             peak = peak.max(count);
@@ -309,27 +359,30 @@ mod tests {
                 twin.entry(block).or_default()[kind].push_back((tag, weight));
                 continue;
             }
-            let heaviest = suspended.awaited().next();
-            if let Some(block) = heaviest {
-                let weights: HashMap<u32, u64> = twin
-                    .iter()
-                    .map(|(block, lists)| {
-                        (*block, lists.iter().flatten().map(|(_, weight)| u64::from(*weight)).sum())
-                    })
-                    .collect();
-                for block in 0..BLOCKS {
-                    let weight = weights.get(&block).copied().unwrap_or(0);
-                    assert_eq!(suspended.weight(BlockId(block)), weight);
-                    assert_eq!(suspended.is_awaited(BlockId(block)), weight > 0);
-                }
-                assert_eq!(suspended.weight(block), *weights.values().max().unwrap());
-                let kind = below(2) as usize;
-                let taken = if kind == 0 { suspended.next_closest(block) } else { suspended.next_any(block) };
-                let expected = twin.get_mut(&block.0).unwrap()[kind].pop_front();
-                assert_eq!(taken.map(|place| suspended.record(place).tag), expected.map(|(tag, _)| tag));
-                if let Some(place) = taken {
-                    suspended.free_place(place);
-                }
+            let heaviest = suspended.heaviest();
+            let weights: HashMap<u32, u64> = twin
+                .iter()
+                .map(|(block, lists)| {
+                    (*block, lists.iter().flatten().map(|(_, weight)| u64::from(*weight)).sum())
+                })
+                .collect();
+            for block in 0..BLOCKS {
+                let weight = weights.get(&block).copied().unwrap_or(0);
+                assert_eq!(suspended.weight(BlockId(block)), weight);
+                assert_eq!(suspended.is_awaited(BlockId(block)), weight > 0);
+            }
+            let idle = weights.iter().filter(|(block, weight)| **weight > 0 && !loading.contains(*block));
+            let greatest = idle.map(|(_, weight)| *weight).max();
+            assert_eq!(heaviest.map(|block| suspended.weight(block)), greatest);
+            // Rays of a block on its way in may run too, if others brought it.
+            let other = BlockId(below(BLOCKS));
+            let block = heaviest.filter(|_| below(4) > 0).unwrap_or(other);
+            let kind = below(2) as usize;
+            let taken = if kind == 0 { suspended.next_closest(block) } else { suspended.next_any(block) };
+            let expected = twin.entry(block.0).or_default()[kind].pop_front();
+            assert_eq!(taken.map(|place| suspended.record(place).tag), expected.map(|(tag, _)| tag));
+            if let Some(place) = taken {
+                suspended.free_place(place);
             }
         }
         assert_eq!(suspended.peak() as usize, peak);

@@ -12,7 +12,7 @@ use super::load::{LoadScratch, Pins};
 use super::policy::{Certified, Fast, Policy, Selected};
 use super::stack::{Entries, UNUSED};
 use super::together::{Lanes, closest_hits_together};
-use super::{Hit, MaterialSet, Occlusion};
+use super::{Hit, LoadStats, MaterialSet, Occlusion};
 use crate::access::QueryKind;
 use crate::budget::Reservation;
 use crate::error::{LoadError, TraceError};
@@ -140,6 +140,11 @@ impl<'o> Tracer<'o> {
     /// What this tracer did so far.
     pub fn counters(&self) -> TraceCounters {
         self.counters
+    }
+
+    /// How its loads went so far.
+    pub fn load_stats(&self) -> LoadStats {
+        self.scratch.stats()
     }
 
     /// Lets go of all blocks, so that other tracers can have their slots. Do it before a long pause.
