@@ -79,7 +79,7 @@ impl<'o> InFlight<'o> {
         Ok(())
     }
 
-    /// Asks for the blocks that it is worth most to load, as many as the window lets; `held` of it are taken.
+    /// Asks for the blocks that it is best to load, as many as the window lets; `held` of it are taken.
     pub fn request(&mut self, suspended: &mut SuspendedRays, held: u32) {
         loop {
             // A window is a few loads.
@@ -88,7 +88,7 @@ impl<'o> InFlight<'o> {
             if in_flight >= self.window {
                 return;
             }
-            let Some(block) = suspended.heaviest() else { return };
+            let Some(block) = suspended.choose() else { return };
             suspended.begin_load(block);
             self.queue.request(block);
             self.asked += 1;

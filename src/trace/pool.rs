@@ -46,8 +46,8 @@ impl PoolOptions {
 
 /// Answers queries on one thread, in whatever order costs the fewest block loads.
 ///
-/// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded; the block for
-/// which the most waits is loaded first, and everything that waits for it runs. There are no rounds: rays may be added
+/// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded. Blocks are loaded in turn, in
+/// the order of the file, those for which little waits in a later turn, and everything that waits for a block runs. There are no rounds: rays may be added
 /// at any time, and so can those that answers lead to.
 ///
 /// Answers are those of a [`Tracer`], whatever the pool's size and order (I2). When the pool is full, rays load what
@@ -200,7 +200,7 @@ impl<'o> RayPool<'o> {
     /// Makes one block resident, if rays wait, and runs those that wait for it, at most [`RayPool::RESUMED_MAX`];
     /// appends to `answers`. Returns whether rays waited when it was called.
     ///
-    /// With a loader, it asks for the blocks for which the most waits and runs the rays of one that has arrived; it waits if none
+    /// With a loader, it asks for the next blocks and runs the rays of one that has arrived; it waits if none
     /// has.
     ///
     /// # Errors
@@ -290,7 +290,7 @@ impl<'o> RayPool<'o> {
             let arrival = in_flight.next(&mut self.suspended, &mut self.tracer.counters)?;
             return Ok(arrival.map(|Arrival { block, pin }| Current { block, pin: Some(pin) }));
         }
-        Ok(self.suspended.heaviest().map(|block| Current { block, pin: None }))
+        Ok(self.suspended.choose().map(|block| Current { block, pin: None }))
     }
 }
 

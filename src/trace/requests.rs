@@ -33,8 +33,9 @@ pub enum OnMissing {
     Load,
     /// The ray waits for the block with others. Right for rays that go anywhere.
     Wait {
-        /// What the answer is worth: the block with the greatest sum over the rays that wait for it is loaded first. Rays
-        /// whose answer leads to more rays should have more than rays that end a path; at least 1.
+        /// What the answer is worth: a block waits for a later turn if the sum over its rays is little beside another's. Rays
+        /// whose answer leads to more rays should have more than rays that end a path, best for each ray that may still
+        /// follow; at least 1.
         weight: u32,
     },
 }
