@@ -215,7 +215,7 @@ pub fn moving(making: &Making<'_>, text: &mut String) -> Result<(), Box<dyn Erro
     };
     placed.instances = frame_of(0.0);
     let lamp = LightShape::Sphere { center: [2.5, 4.0, 2.0], radius: 0.5 };
-    let scene = daylight(camera([0.1, 4.4, 4.6], [-0.15, 0.0, -0.1], 39.0)?)
+    let scene = daylight(camera([0.2, 4.2, 4.4], [-0.1, 0.1, 0.0], 36.0)?)
         .with_light(Light::area(lamp, [6.0, 5.5, 4.5]));
     let mut instances = placed.open(making)?;
     let title = "Wheels that turn from frame to frame";

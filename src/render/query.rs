@@ -15,7 +15,7 @@ pub(crate) trait RayQuery {
     /// The first hit of each ray by (t, triangle id).
     fn closest_hits(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError>;
 
-    /// The first hit of each ray strictly behind `after` in the order of (t, triangle id).
+    /// The first hit of each ray strictly behind `after` in the order of (t, triangle id); where its `t` is NaN, the first of all.
     fn closest_hits_after(
         &mut self,
         rays: &[Ray],

@@ -120,7 +120,7 @@ impl<'a> Renderer<'a> {
         settings: &RenderSettings,
         threads: &Threads,
     ) -> Result<Bytes, RenderError> {
-        Renderer::bytes_needed_for(&[model], scene, settings, threads)
+        bytes_needed(&Surfaces::from(model), scene, settings, threads)
     }
 
     /// [`Renderer::bytes_needed`] for a picture of instances of all these models.
@@ -133,11 +133,7 @@ impl<'a> Renderer<'a> {
         settings: &RenderSettings,
         threads: &Threads,
     ) -> Result<Bytes, RenderError> {
-        let surfaces = Surfaces::from(models);
-        let (stage, _) = set(scene, &surfaces, settings)?;
-        let readers = workers::worker_count(threads) as u32;
-        let details = detail_bytes(&stage, scene, &surfaces, readers);
-        Ok(Bytes(memory(&stage, threads).total().0 + details.0))
+        bytes_needed(&Surfaces::from(models), scene, settings, threads)
     }
 
     /// Of [`Renderer::bytes_needed`], what the caches of attributes and textures take for so many threads.
@@ -292,6 +288,19 @@ pub(super) struct Picture {
     pub totals: Totals,
     pub wall_seconds: f64,
     pub memory: Bytes,
+}
+
+/// What a render of these surfaces takes.
+fn bytes_needed(
+    surfaces: &Surfaces<'_>,
+    scene: &Scene,
+    settings: &RenderSettings,
+    threads: &Threads,
+) -> Result<Bytes, RenderError> {
+    let (stage, _) = set(scene, surfaces, settings)?;
+    let readers = workers::worker_count(threads) as u32;
+    let details = detail_bytes(&stage, scene, surfaces, readers);
+    Ok(Bytes(memory(&stage, threads).total().0 + details.0))
 }
 
 /// What the caches of attributes and textures take for so many threads.

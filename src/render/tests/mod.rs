@@ -152,7 +152,8 @@ impl Naive {
                 continue;
             };
             let key = (hit.t, TriangleId(id));
-            if after.is_none_or(|after| key > after) && best.is_none_or(|best| key < (best.t, best.triangle))
+            if after.is_none_or(|after| key > after || after.0.is_nan())
+                && best.is_none_or(|best| key < (best.t, best.triangle))
             {
                 best = Some(Hit {
                     t: hit.t,
