@@ -55,9 +55,11 @@ fn settings() -> RenderSettings {
     RenderSettings { tile_size: 16, ..RenderSettings::new(72, 60) }
 }
 
+/// Every metric is held against the truth, whichever the goal is about.
 fn to_goal(octree: &LazyOctree, budget: &MemoryBudget, scene: &Scene, options: &GoalOptions) -> GoalImage {
     let go_on = &mut |_| Control::Continue;
-    render_to_goal(octree, scene, &settings(), options, &Threads::Count(2), budget, go_on).unwrap()
+    let options = GoalOptions { every_metric: true, ..*options };
+    render_to_goal(octree, scene, &settings(), &options, &Threads::Count(2), budget, go_on).unwrap()
 }
 
 fn again(
@@ -111,7 +113,8 @@ fn error_goals_are_met_and_certificates_hold() {
             certificate.geometry.is_visibility_exact
                 && certificate.geometry.t_relative == Some(2f64.powi(-40))
         );
-        assert!(certificate.cut_off.rmse <= 0.4 * bound, "{:?}", certificate.cut_off);
+        // Half of the goal, and what the probe did not see.
+        assert!(certificate.cut_off.rmse <= 0.6 * bound, "{:?}", certificate.cut_off);
         // The same picture again, on one thread.
         let film = again(&octree, &budget, &scene, &certificate.knobs, &Threads::One);
         assert!(film.pixels() == image.film.pixels() && film.statistics() == image.film.statistics());
@@ -254,6 +257,12 @@ fn what_cannot_be_met_says_so() {
     let Verdict::NotMet { reason } = &certificate.verdict else { panic!("{certificate}") };
     assert!(reason.contains("the most samples allowed, 8"), "{reason}");
     assert!(image.film.is_complete() && certificate.error_bound(Metric::Rmse).unwrap() > 5e-4);
+    // FLIP takes time, and is estimated where it is asked for.
+    let go_on = &mut |_| Control::Continue;
+    let alone =
+        render_to_goal(&octree, &scene, &settings(), &options, &Threads::One, &budget, go_on).unwrap();
+    assert!(alone.certificate.error_bound(Metric::Rmse).is_some());
+    assert_eq!(alone.certificate.estimate(Metric::Flip), None);
     assert!(certificate.samples_mean > 4.0 && certificate.samples_mean <= 8.0);
 }
 
