@@ -142,14 +142,14 @@ impl<'o> Pins<'o> {
     ) -> Result<Option<&[u8]>, LoadError> {
         let place = &mut self.places[(block.0 & self.mask) as usize];
         if place.as_ref().is_none_or(|pin| pin.block() != block) {
+            // The old pin goes first: with one slot for each tracer there is none to spare, for this one or for another.
+            *place = None;
             if !self.loads {
                 match octree.cache.try_pin(block) {
                     Some(pin) => *place = Some(pin),
                     None => return Ok(None),
                 }
             } else {
-                // The old pin goes first: with one slot for each tracer there is none to spare.
-                *place = None;
                 *place = Some(pin(octree, block, scratch, counters)?);
             }
             if let Some(log) = &mut self.log {
