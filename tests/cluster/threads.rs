@@ -174,11 +174,15 @@ fn every_mix(open: &dyn Fn() -> Box<dyn Network>) {
     let outcome = render(&*open(), &mix(&[(1, true), (2, true), (1, true)], 3));
     let remotes: Vec<_> = outcome.workers.into_iter().filter_map(|worker| worker.unwrap().remote).collect();
     let from_disk: u64 = outcome.readers.iter().map(|reader| reader.blocks_from_disk).sum();
-    let from_own: u64 = remotes.iter().map(|remote| remote.from_fallback).sum();
     let from_peers: u64 = remotes.iter().map(|remote| remote.from_owner).sum();
-    // A worker may begin before all others serve.
-    assert!(from_peers > 0 && from_own < from_peers, "{remotes:?}");
-    assert!(from_disk <= model().model().blocks.len() as u64, "{:?}", outcome.readers);
+    assert!(from_peers > 0, "{remotes:?}");
+    // Once each; a worker may begin before all others serve, and then another than the owner reads the block, too.
+    let from_other: u64 = remotes.iter().map(|remote| remote.from_other).sum();
+    assert!(
+        from_disk <= model().model().blocks.len() as u64 + from_other,
+        "{:?}, {remotes:?}",
+        outcome.readers
+    );
     // Sharing: nobody but the readers has the file.
     for readers in [1, 3] {
         let outcome = render(&*open(), &mix(&[(1, false), (2, false)], readers));
