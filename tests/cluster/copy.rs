@@ -125,7 +125,8 @@ fn renders_on_from_its_copy(network: &dyn Network) {
     assert_eq!((copy.blocks_kept, copy.blocks_fetched, copy.damaged), (0, blocks, 0));
     assert!(copy.is_complete);
     let remote = report.remote.unwrap();
-    assert!(remote.from_owner >= 1 && remote.from_copy > 0, "{remote:?}");
+    // The copy may be there before the first block is needed.
+    assert!(remote.from_copy > 0, "{remote:?}");
     assert!(lines.iter().any(|line| line.contains("is complete")), "{lines:?}");
     assert_eq!(fs::read(&path).unwrap(), &model_bytes()[..]);
     assert!(!folder.path().join("deep/model.outcrop.part").exists());
