@@ -29,8 +29,9 @@ const PATIENCE: Duration = Duration::from_secs(120);
 struct Tampered<R> {
     whole: MemorySource,
     blocks_left: AtomicU64,
-    /// Blocks are given again when this is there.
+    /// Blocks are given again when this is there, and nothing of them as parts of the file before the first block was given.
     until: Option<PathBuf>,
+    blocks_given: AtomicU64,
     /// Number of the request, the bytes.
     ranges: AtomicU64,
     range: R,
@@ -38,8 +39,9 @@ struct Tampered<R> {
 
 impl<R: Fn(u64, &mut [u8]) -> io::Result<()> + Send + Sync> Tampered<R> {
     fn new(range: R) -> Tampered<R> {
-        let (blocks_left, ranges) = (AtomicU64::new(u64::MAX), AtomicU64::new(0));
-        Tampered { whole: model(), blocks_left, until: None, ranges, range }
+        let (blocks_left, blocks_given, ranges) =
+            (AtomicU64::new(u64::MAX), AtomicU64::new(0), AtomicU64::new(0));
+        Tampered { whole: model(), blocks_left, until: None, blocks_given, ranges, range }
     }
 }
 
@@ -55,6 +57,7 @@ impl<R: Fn(u64, &mut [u8]) -> io::Result<()> + Send + Sync> BlockSource for Tamp
             return Err(SourceError::Io { what: "a block".to_owned(), name: "test".to_owned(), error });
         }
         self.blocks_left.store(left.saturating_sub(1), Ordering::Relaxed);
+        self.blocks_given.fetch_add(1, Ordering::Relaxed);
         self.whole.read_block(block, into)
     }
 }
@@ -65,6 +68,11 @@ impl<R: Fn(u64, &mut [u8]) -> io::Result<()> + Send + Sync> ModelFile for Tamper
     }
 
     fn read_range(&self, offset: u64, into: &mut [u8]) -> io::Result<()> {
+        let blocks = &self.model().blocks;
+        let is_of_blocks = (blocks[0].offset..=blocks[blocks.len() - 1].offset).contains(&offset);
+        if self.until.is_some() && is_of_blocks && self.blocks_given.load(Ordering::Relaxed) == 0 {
+            return Err(io::Error::other("not before a block was needed"));
+        }
         self.whole.read_range(offset, into)?;
         (self.range)(self.ranges.fetch_add(1, Ordering::Relaxed), into)
     }
@@ -125,8 +133,7 @@ fn renders_on_from_its_copy(network: &dyn Network) {
     assert_eq!((copy.blocks_kept, copy.blocks_fetched, copy.damaged), (0, blocks, 0));
     assert!(copy.is_complete);
     let remote = report.remote.unwrap();
-    // The copy may be there before the first block is needed.
-    assert!(remote.from_copy > 0, "{remote:?}");
+    assert!(remote.from_owner >= 1 && remote.from_copy > 0, "{remote:?}");
     assert!(lines.iter().any(|line| line.contains("is complete")), "{lines:?}");
     assert_eq!(fs::read(&path).unwrap(), &model_bytes()[..]);
     assert!(!folder.path().join("deep/model.outcrop.part").exists());
