@@ -168,6 +168,10 @@ pub(super) fn pin<'o>(
     scratch: &mut LoadScratch,
     counters: &mut TraceCounters,
 ) -> Result<Pin<'o>, LoadError> {
+    // Most blocks that are entered are there: no clock for them.
+    if let Some(pin) = octree.cache.try_pin(block) {
+        return Ok(pin);
+    }
     let start = Instant::now();
     let mut filling = Duration::ZERO;
     let pinned = octree.cache.pin(block, &mut |slot| {
