@@ -13,7 +13,7 @@
 
 mod goal;
 mod instances;
-mod local_ray;
+mod moved_ray;
 mod placed;
 mod tracer;
 mod tree;

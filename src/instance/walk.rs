@@ -2,14 +2,17 @@
 
 use super::goal::{Candidate, Goal};
 use super::instances::{InstanceTriangle, Instances};
-use super::local_ray::{LocalRay, splat};
+use super::moved_ray::moved;
 use super::placed::Placed;
 use crate::error::{BlockError, LoadError};
 use crate::geom::RayFrame;
-use crate::octree::{Child, Fine, LazyOctree, Reached, STACK_MAX, TriangleLocation};
+use crate::octree::{
+    Child, Fine, LazyOctree, LocalRay, QueryRay, Reached, STACK_MAX, TriangleLocation, prepare_moved,
+    splat_interval,
+};
 use crate::simd::{LANES, Operation, Simd};
 use crate::stats::TraceCounters;
-use crate::trace::Tracer;
+use crate::trace::{Tracer, lanes_in_use};
 use crate::units::{BlockId, MaterialId, TriangleId};
 
 /// Children that wait, the next one last, with where the ray enters their boxes.
@@ -80,12 +83,13 @@ impl<S: Simd, G: Goal> Operation<S> for Walk<'_, '_, G> {
     fn run(mut self, simd: S) -> Result<bool, LoadError> {
         let octree = self.octree;
         let coarse = &octree.coarse;
-        let mut local = LocalRay::new(simd, self.frame, self.placed, octree);
-        let (low, mut high) = local.interval(self.frame.t_min, self.frame.t_max);
+        let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
+        prepare_moved(simd, &moved(self.frame, self.placed), &octree.space, &mut query, &mut local);
+        let (low, mut high) = (query.local_low(self.frame.t_min), query.local_high(self.frame.t_max));
         self.stack.len = 0;
         let mut next = Some(Child::COARSE_ROOT);
         while let Some(child) = next {
-            let interval = splat(simd, (low, high));
+            let interval = splat_interval(simd, low, high);
             if child.is_leaf() {
                 let block = child.block_index();
                 let sub_boxes = match coarse.sub_boxes.get(block as usize) {
@@ -99,18 +103,18 @@ impl<S: Simd, G: Goal> Operation<S> for Walk<'_, '_, G> {
                     },
                 };
                 self.counters.box_tests += 1;
-                let (near, hits) = local.boxes().test_packed(simd, sub_boxes, interval.low, interval.high);
+                let (near, hits) = local.test.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
                 if hits != 0 {
-                    if self.block(simd, BlockId(block), &mut local, (low, high), near, hits)? {
+                    if self.block(simd, BlockId(block), &query, &mut local, (low, high), (near, hits))? {
                         return Ok(true);
                     }
-                    local.enter(simd, octree.space.frame.base);
-                    high = local.high(self.frame.t_max);
+                    local.enter_frame(simd, &query, &octree.space.frame);
+                    high = query.local_high(self.frame.t_max);
                 }
             } else {
                 let node = coarse.node(child);
                 self.counters.box_tests += 1;
-                let (near, hits) = local.boxes().test(simd, &node.bounds, interval.low, interval.high);
+                let (near, hits) = local.test.boxes.test(simd, &node.bounds, interval.low, interval.high);
                 self.stack.push(simd, &node.children, near, hits);
             }
             next = self.stack.pop(0, high);
@@ -126,24 +130,24 @@ impl<G: Goal> Walk<'_, '_, G> {
         &mut self,
         simd: S,
         block: BlockId,
+        query: &QueryRay,
         local: &mut LocalRay,
         (low, mut high): (f32, f32),
-        near: S::F,
-        hits: u32,
+        (near, hits): (S::F, u32),
     ) -> Result<bool, LoadError> {
         let fine = Fine::new(self.tracer.slot(block)?);
         self.counters.block_visits += 1;
-        local.enter(simd, fine.frame().base);
-        let bounds = local.bounds(simd, &fine);
+        local.enter_frame(simd, query, &fine.frame());
+        let bounds = local.bounds(simd, query, fine.extents(), fine.vertex_error());
         let base = self.stack.len;
         let (groups, used) = fine.groups();
         self.stack.push(simd, groups, near, hits & used);
         while let Some(child) = self.stack.pop(base, high) {
-            let interval = splat(simd, (low, high));
+            let interval = splat_interval(simd, low, high);
             if !child.is_leaf() {
                 let node = fine.node(child);
                 self.counters.box_tests += 1;
-                let (near, hits) = local.boxes().test(simd, &node.bounds, interval.low, interval.high);
+                let (near, hits) = local.test.boxes.test(simd, &node.bounds, interval.low, interval.high);
                 self.stack.push(simd, &node.children, near, hits);
                 continue;
             }
@@ -154,9 +158,9 @@ impl<G: Goal> Walk<'_, '_, G> {
             let mut first = 0;
             while first < count {
                 let packet = leaf.packet(simd, first);
-                let in_use = !(u64::MAX << (count - first).min(63)) as u32;
                 let triangles = &local.test.triangles;
-                let mut survivors = triangles.survivors(simd, &packet, (&bounds, edge), &interval) & in_use;
+                let mut survivors = triangles.survivors(simd, &packet, (&bounds, edge), &interval)
+                    & lanes_in_use(count - first);
                 while survivors != 0 {
                     let lane = survivors.trailing_zeros() as usize;
                     survivors &= survivors - 1;
@@ -176,7 +180,7 @@ impl<G: Goal> Walk<'_, '_, G> {
                     if self.goal.take(candidate, self.frame, &mut self.counters.exact_fallbacks) {
                         return Ok(true);
                     }
-                    high = local.high(self.frame.t_max);
+                    high = query.local_high(self.frame.t_max);
                 }
                 first += LANES;
             }

@@ -25,5 +25,5 @@ pub(crate) use fine::{Fine, TriangleLocation};
 pub(crate) use grown::Reached;
 pub(crate) use lazy::{TracerPermit, tracer_bytes};
 pub(crate) use node::{Child, LEVELS_MAX, STACK_MAX};
-pub(crate) use ray::{LocalRay, QueryRay, splat_interval};
+pub(crate) use ray::{LocalRay, MovedRay, QueryRay, power_of_two, prepare_moved, splat_interval};
 pub(crate) use ray_group::RayGroup;

@@ -29,7 +29,7 @@ fn longest(direction: [f64; 3]) -> f64 {
 }
 
 #[inline(always)]
-pub(super) const fn power_of_two(exponent: i64) -> f64 {
+pub(crate) const fn power_of_two(exponent: i64) -> f64 {
     f64::from_bits(((1023 + exponent) as u64) << 52)
 }
 
@@ -43,18 +43,32 @@ pub(super) fn prepare_with_care<S: Simd>(
     query: &mut QueryRay,
     local: &mut LocalRay,
 ) -> Option<&'static str> {
-    let careful = Careful::new(ray, space);
-    *query = careful.query;
-    let [x, y, z] = careful.direction;
-    let lanes = simd.load(&[x, y, z, 1.0, 1.0, 1.0, 1.0, 1.0]);
-    let origin = local_origin(query.origin, &space.frame);
-    local.test.boxes.set_direction(simd, lanes, &careful.parallel);
-    local.test.boxes.set_origin(simd, origin, query.widen);
-    (local.test.triangles.origin, local.test.triangles.direction) = (origin, careful.direction);
-    local.base = space.frame.base;
-    local.origin_error = query.origin_error_in(&space.frame, origin);
-    local.forget_origin_if_lost();
-    careful.invalid
+    Careful::of_ray(ray, space).put(simd, space, query, local);
+    ray.validate().err()
+}
+
+/// A ray that was moved into the model's space, which rounds.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MovedRay {
+    pub origin: [f64; 3],
+    /// How far off the origin is at most, per axis: what the direction and the model's vertices are off is in it.
+    pub origin_error: f64,
+    /// Largest magnitude 1 to 2.
+    pub direction: [f64; 3],
+    /// From the parameter of the ray as it was to that of this one.
+    pub t_factor: f64,
+}
+
+/// Prepares a moved ray, in the frame of the coarse tree.
+#[inline(always)]
+pub(crate) fn prepare_moved<S: Simd>(
+    simd: S,
+    ray: &MovedRay,
+    space: &Space,
+    query: &mut QueryRay,
+    local: &mut LocalRay,
+) {
+    Careful::of_moved(ray, space).put(simd, space, query, local);
 }
 
 /// What a ray takes that is not plain.
@@ -62,7 +76,6 @@ struct Careful {
     query: QueryRay,
     direction: [f32; 3],
     parallel: ParallelAxes,
-    invalid: Option<&'static str>,
 }
 
 /// An origin in a frame, rounded: two roundings in f64 and one in f32.
@@ -79,8 +92,7 @@ impl Careful {
     /// For any ray: along an axis, of any length, from any distance.
     #[cold]
     #[inline(never)]
-    fn new(ray: &Ray, space: &Space) -> Careful {
-        let invalid = ray.validate().err();
+    fn of_ray(ray: &Ray, space: &Space) -> Careful {
         // The exact ray rounds what is out of range for it; boxes must be met by the ray that triangles are.
         let exact = RayFrame::new(ray);
         let exponent = (longest(exact.direction()).to_bits() >> 52) as i64 - 1023;
@@ -90,12 +102,8 @@ impl Careful {
         let direction = exact.direction().map(|x| x * factor);
         let mut query = QueryRay {
             origin: exact.origin(),
-            origin_error: 0.0,
-            widen: BoxRay::WIDEN_LEAST,
-            direction_sum: (1.0 + 1e-6) * direction.iter().map(|x| x.abs() as f32).sum::<f32>(),
             t_factors: [1.0 / exact.scale() / factor, space.frame.scale],
-            t_start: 0.0,
-            is_plain: false,
+            ..QueryRay::UNSET
         };
         let near = (0..3).all(|axis| {
             let x = ((query.origin[axis] - space.frame.base[axis]) * space.frame.scale) as f32;
@@ -104,10 +112,38 @@ impl Careful {
         if !near {
             query.approach(direction, space);
         }
+        Careful::new(query, direction, space)
+    }
+
+    #[inline(always)]
+    fn of_moved(ray: &MovedRay, space: &Space) -> Careful {
+        let mut query = QueryRay {
+            origin: ray.origin,
+            origin_error: ray.origin_error,
+            t_factors: [ray.t_factor, space.frame.scale],
+            ..QueryRay::UNSET
+        };
+        query.approach(ray.direction, space);
+        Careful::new(query, ray.direction, space)
+    }
+
+    /// With what follows from a query's start and direction.
+    #[inline(always)]
+    fn new(query: QueryRay, direction: [f64; 3], space: &Space) -> Careful {
         let error = (query.origin_error + COORDINATE_ROUNDING) * space.frame.scale;
         let parallel = ParallelAxes::new(direction, error as f32 * (1.0 + 1e-6), &space.parallel);
-        query.widen = parallel.widen();
-        Careful { query, direction: direction.map(|x| x as f32), parallel, invalid }
+        let direction_sum = (1.0 + 1e-6) * direction.iter().map(|x| x.abs() as f32).sum::<f32>();
+        let query = QueryRay { widen: parallel.widen(), direction_sum, ..query };
+        Careful { query, direction: direction.map(|x| x as f32), parallel }
+    }
+
+    #[inline(always)]
+    fn put<S: Simd>(self, simd: S, space: &Space, query: &mut QueryRay, local: &mut LocalRay) {
+        *query = self.query;
+        let [x, y, z] = self.direction;
+        local.test.boxes.set_direction(simd, simd.load(&[x, y, z, 1.0, 1.0, 1.0, 1.0, 1.0]), &self.parallel);
+        local.test.triangles.direction = self.direction;
+        local.move_to(simd, query, &space.frame);
     }
 }
 
@@ -159,7 +195,7 @@ impl QueryRay {
         });
         if entry > 0.0 && moved.iter().chain([&error]).all(|x| x.is_finite()) {
             self.origin = moved;
-            self.origin_error = error;
+            self.origin_error += error;
             self.t_start = entry * space.frame.scale;
         }
     }
@@ -230,9 +266,13 @@ impl LocalRay {
     /// Moves the ray into the space of another tree of the same model; costs nothing if that has the same base.
     #[inline(always)]
     pub fn enter_frame<S: Simd>(&mut self, simd: S, query: &QueryRay, frame: &Frame) {
-        if frame.base == self.base {
-            return;
+        if frame.base != self.base {
+            self.move_to(simd, query, frame);
         }
+    }
+
+    #[inline(always)]
+    fn move_to<S: Simd>(&mut self, simd: S, query: &QueryRay, frame: &Frame) {
         let origin = local_origin(query.origin, frame);
         self.test.triangles.origin = origin;
         self.test.boxes.set_origin(simd, origin, query.widen);

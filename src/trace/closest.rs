@@ -326,6 +326,6 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
 
 /// A bit for each of the first `count` lanes.
 #[inline(always)]
-pub(super) fn lanes_in_use(count: usize) -> u32 {
+pub(crate) fn lanes_in_use(count: usize) -> u32 {
     !(u64::MAX << count.min(63)) as u32
 }

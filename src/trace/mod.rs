@@ -69,6 +69,7 @@ mod suspended;
 mod together;
 mod tracer;
 
+pub(crate) use closest::lanes_in_use;
 pub use crossings::Crossing;
 pub use hit::{Hit, MaterialSet, Occlusion};
 pub use load::LoadStats;
