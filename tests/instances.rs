@@ -13,7 +13,7 @@ use outcrop::trace::{MaterialSet, Occlusion};
 use outcrop::units::{Bytes, MaterialId, TriangleId};
 use outcrop::{BlockSource, MemoryBudget};
 use support::numbers::Random;
-use support::{MATERIALS, Triangles, compile};
+use support::{MATERIALS, Triangles, compile, occlusion_of};
 
 /// A triangle of the world: its corners, its number in hits, its material.
 type Written = ([[f64; 3]; 3], TriangleId, MaterialId);
@@ -71,12 +71,7 @@ fn check(tracer: &mut InstanceTracer<'_>, world: &[Written], rays: &[Ray]) -> us
         let blocked = if expected.is_empty() { Occlusion::Clear } else { Occlusion::Blocked };
         assert_eq!(occlusions[i], blocked, "ray {i}: {ray:?}");
         let opaque = expected.iter().any(|(.., material)| !ignore.contains(*material));
-        let with_filter = match (expected.is_empty(), opaque) {
-            (true, _) => Occlusion::Clear,
-            (_, true) => Occlusion::Blocked,
-            _ => Occlusion::Filtered,
-        };
-        assert_eq!(filtered[i], with_filter, "ray {i}: {ray:?}");
+        assert_eq!(filtered[i], occlusion_of(!expected.is_empty(), opaque), "ray {i}: {ray:?}");
         // From hit to hit, coincident ones too, and past the end.
         let mut at = (-1.0, TriangleId(0));
         for step in 0..5.min(expected.len() + 1) {

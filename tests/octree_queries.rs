@@ -11,7 +11,7 @@ use outcrop::trace::{MaterialSet, Occlusion, Tracer};
 use outcrop::units::{Bytes, MaterialId, TriangleId};
 use outcrop::{BlockSource, MemoryBudget};
 use support::numbers::Random;
-use support::{MATERIALS, Triangles, all_hits, compile};
+use support::{MATERIALS, Triangles, all_hits, compile, occlusion_of};
 
 /// Rounds to f32, so that `Float32` files hold the positions exactly.
 fn round(triangles: Triangles) -> Triangles {
@@ -127,12 +127,7 @@ fn check(tracer: &mut Tracer<'_>, triangles: &Triangles, rays: &[Ray]) {
         let blocked = if expected.is_empty() { Occlusion::Clear } else { Occlusion::Blocked };
         assert_eq!(occlusions[i], blocked, "ray {i}: {ray:?}");
         let opaque = expected.iter().any(|(_, id)| id.0 % u64::from(MATERIALS) == 1);
-        let with_filter = match (expected.is_empty(), opaque) {
-            (true, _) => Occlusion::Clear,
-            (_, true) => Occlusion::Blocked,
-            _ => Occlusion::Filtered,
-        };
-        assert_eq!(filtered[i], with_filter, "ray {i}: {ray:?}");
+        assert_eq!(filtered[i], occlusion_of(!expected.is_empty(), opaque), "ray {i}: {ray:?}");
         // Walking on from hit to hit visits every hit once, coincident ones too.
         let mut at = (-1.0, TriangleId(0));
         for (step, expected) in expected.iter().take(6).enumerate() {

@@ -9,6 +9,7 @@ use outcrop::block::{BlockInput, BlockLimits, Codec, EncodeScratch, VertexInput,
 use outcrop::geom::{Aabb, Precision, Ray, intersect_certified};
 use outcrop::model::{MaterialRecord, ModelWriter, NewBlock, SourceRecord, SubBoxes};
 use outcrop::source::MemorySource;
+use outcrop::trace::Occlusion;
 use outcrop::units::TriangleId;
 
 /// Triangles with exact positions; ids count from 0, the material of triangle `i` is `i % MATERIALS`.
@@ -128,6 +129,15 @@ pub fn all_hits(triangles: &[[[f64; 3]; 3]], ray: &Ray) -> Vec<(f64, TriangleId)
         .collect();
     hits.sort_by(|a, b| a.partial_cmp(b).unwrap());
     hits
+}
+
+/// What a query that tells some materials apart says of a ray that meets something, and something of a material that is not ignored.
+pub fn occlusion_of(is_met: bool, is_opaque: bool) -> Occlusion {
+    match (is_met, is_opaque) {
+        (false, _) => Occlusion::Clear,
+        (_, true) => Occlusion::Blocked,
+        _ => Occlusion::Filtered,
+    }
 }
 
 /// Whether the ray meets the box, widened by `slack`: let that be far more than the rounding of the octree's own test.
