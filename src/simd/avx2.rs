@@ -32,6 +32,8 @@ impl Simd for Avx2 {
     type F = __m256;
     type M = __m256;
 
+    const IS_FASTEST: bool = true;
+
     #[inline(always)]
     fn enter<O: Operation<Avx2>>(self, operation: O) -> O::Output {
         #[target_feature(enable = "avx2,fma")]

@@ -17,6 +17,10 @@ pub trait Simd: Copy {
     /// Eight truth values.
     type M: Copy;
 
+    /// Whether CPUs of the target have nothing faster, as far as there is a version here: what is compiled in many versions for
+    /// speed need not be for others.
+    const IS_FASTEST: bool;
+
     /// Runs `operation` in a function of its own, compiled for the instructions.
     fn enter<O: Operation<Self>>(self, operation: O) -> O::Output;
 
@@ -113,6 +117,8 @@ fn zip<T: Copy, U: Copy, R>(a: [T; LANES], b: [U; LANES], f: impl Fn(T, U) -> R)
 impl Simd for Portable {
     type F = [f32; LANES];
     type M = [bool; LANES];
+
+    const IS_FASTEST: bool = !cfg!(target_arch = "x86_64");
 
     #[inline(never)]
     fn enter<O: Operation<Portable>>(self, operation: O) -> O::Output {

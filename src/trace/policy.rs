@@ -1,6 +1,6 @@
-//! How the triangles of a leaf are decided. The two tiers that people choose for speed have a type for each layout of leaves, so
-//! that the traversal is compiled for it and has no branch; the others are chosen between where they are used, because each further
-//! type compiles every query once more.
+//! How the triangles of a leaf are decided. What people choose for speed has a type of its own, so that the traversal is compiled
+//! for it and has no branch; [`Selected`] chooses between the others where they are used, because each further type compiles
+//! every query once more.
 
 use super::exact::ExactRay;
 use crate::geom::{Ray, TriangleHit, intersect_plain};
@@ -116,11 +116,11 @@ impl<const EXPANDED: bool> Policy for Certified<EXPANDED> {
     }
 }
 
-/// The kernel's f32 test decides.
-pub(super) struct Fast<const EXPANDED: bool>;
+/// The kernel's f32 test decides; leaves are expanded.
+pub(super) struct Fast;
 
-impl<const EXPANDED: bool> Policy for Fast<EXPANDED> {
-    const EXPANDED: Option<bool> = Some(EXPANDED);
+impl Policy for Fast {
+    const EXPANDED: Option<bool> = Some(true);
     type Ray<S: Simd> = ();
     type Seen<S: Simd> = [S::F; 3];
 
@@ -165,24 +165,30 @@ impl<const EXPANDED: bool> Policy for Fast<EXPANDED> {
     }
 }
 
-/// [`Tier::Watertight`], [`Tier::Double`] or [`Tier::Exact`].
+/// Any tier, any layout.
 pub(super) struct Selected;
 
 /// What [`Selected`] needs of a ray.
 #[derive(Clone, Copy)]
 pub(super) enum SelectedRay<S: Simd> {
+    /// The kernel's f32 test decides.
+    Fast,
     /// The kernel's watertight f32 test decides.
     Watertight(Shear<S>),
     /// f32 rejects, a plain test in f64 decides.
     Double,
+    /// f32 rejects, f64 or exact arithmetic decides.
+    Certified,
     /// Exact arithmetic decides every triangle.
     Exact,
 }
 
 /// What the kernel of [`Selected`] knows.
 pub(super) enum SelectedSeen<F> {
-    Watertight([F; 3]),
+    /// The hits themselves.
+    Single([F; 3]),
     Double,
+    Certified,
     Exact,
 }
 
@@ -194,9 +200,11 @@ impl Policy for Selected {
     #[inline(always)]
     fn prepare<S: Simd>(simd: S, tier: Tier, triangles: &TriangleRay) -> SelectedRay<S> {
         match tier {
+            Tier::Fast => SelectedRay::Fast,
             Tier::Watertight => SelectedRay::Watertight(Shear::new(simd, triangles.direction)),
             Tier::Double => SelectedRay::Double,
-            Tier::Fast | Tier::Certified | Tier::Exact => SelectedRay::Exact,
+            Tier::Certified => SelectedRay::Certified,
+            Tier::Exact => SelectedRay::Exact,
         }
     }
 
@@ -210,12 +218,19 @@ impl Policy for Selected {
         interval: &Interval<S::F>,
     ) -> (u32, SelectedSeen<S::F>) {
         match prepared {
+            SelectedRay::Fast => {
+                let (hits, seen) = triangles.decide(simd, packet, interval);
+                (hits, SelectedSeen::Single(seen))
+            }
             SelectedRay::Watertight(shear) => {
                 let (hits, seen) = shear.decide(simd, packet, simd.splat3(triangles.origin), interval);
-                (hits, SelectedSeen::Watertight(seen))
+                (hits, SelectedSeen::Single(seen))
             }
             SelectedRay::Double => {
                 (triangles.survivors(simd, packet, bounds, interval), SelectedSeen::Double)
+            }
+            SelectedRay::Certified => {
+                (triangles.survivors(simd, packet, bounds, interval), SelectedSeen::Certified)
             }
             SelectedRay::Exact => (u32::MAX, SelectedSeen::Exact),
         }
@@ -229,12 +244,17 @@ impl Policy for Selected {
         packet: &Packet<S>,
         bounds: (&ErrorBounds<S>, f32),
         interval: &Interval<S::F>,
-        _: &Interval<S::F>,
+        inner: &Interval<S::F>,
     ) -> (u32, u32, SelectedSeen<S::F>) {
+        if let SelectedRay::Certified = prepared {
+            let (survivors, certain) =
+                triangles.survivors_and_certain(simd, packet, bounds, interval, inner);
+            return (survivors, certain, SelectedSeen::Certified);
+        }
         let (candidates, seen) = Self::candidates(simd, prepared, triangles, packet, bounds, interval);
         let certain = match seen {
-            SelectedSeen::Watertight(_) => candidates,
-            SelectedSeen::Double | SelectedSeen::Exact => 0,
+            SelectedSeen::Single(_) => candidates,
+            SelectedSeen::Double | SelectedSeen::Certified | SelectedSeen::Exact => 0,
         };
         (candidates, certain, seen)
     }
@@ -249,11 +269,12 @@ impl Policy for Selected {
     ) -> Option<TriangleHit> {
         let Candidate { ray, query, vertices, t_min, t_max, .. } = *candidate;
         match seen {
-            SelectedSeen::Watertight(seen) => single(simd, seen, candidate),
+            SelectedSeen::Single(seen) => single(simd, seen, candidate),
             SelectedSeen::Double => {
                 counters.decisions += 1;
                 intersect_plain(&Ray { t_min, t_max, ..*ray }, vertices)
             }
+            SelectedSeen::Certified => Certified::<true>::settle(simd, &(), candidate, exact, counters),
             SelectedSeen::Exact => {
                 counters.decisions += 1;
                 counters.exact_fallbacks += 1;

@@ -331,13 +331,14 @@ impl<S: Simd, Q: Query, P: Policy> Operation<S> for Each<Q, P> {
 /// Runs `query` with the policy and the layout of `octree`: decided once per call.
 #[inline(always)]
 pub(super) fn enter<S: Simd, Q: Query>(simd: S, octree: &LazyOctree, query: Q) -> Result<(), TraceError> {
-    match (octree.tier, octree.layout.expanded) {
-        (Tier::Certified, true) => simd.enter(Each::<Q, Certified<true>>(query, PhantomData)),
-        (Tier::Certified, false) => simd.enter(Each::<Q, Certified<false>>(query, PhantomData)),
-        (Tier::Fast, true) => simd.enter(Each::<Q, Fast<true>>(query, PhantomData)),
-        (Tier::Fast, false) => simd.enter(Each::<Q, Fast<false>>(query, PhantomData)),
-        (Tier::Watertight | Tier::Double | Tier::Exact, _) => {
-            simd.enter(Each::<Q, Selected>(query, PhantomData))
+    // Compiled for each of these where it may be the fastest.
+    if S::IS_FASTEST {
+        match (octree.tier, octree.layout.expanded) {
+            (Tier::Certified, true) => return simd.enter(Each::<Q, Certified<true>>(query, PhantomData)),
+            (Tier::Certified, false) => return simd.enter(Each::<Q, Certified<false>>(query, PhantomData)),
+            (Tier::Fast, true) => return simd.enter(Each::<Q, Fast>(query, PhantomData)),
+            _ => {}
         }
     }
+    simd.enter(Each::<Q, Selected>(query, PhantomData))
 }
