@@ -9,9 +9,11 @@
 
 mod certificate;
 mod check;
+mod choose;
 mod estimate;
 mod flip;
 mod goal;
+mod job;
 mod knobs;
 mod metric;
 mod predict;

@@ -17,6 +17,13 @@ pub(super) struct Prediction<'p> {
     pub confidence: f64,
 }
 
+impl Sampled {
+    fn of(level: &Level) -> Sampled {
+        let Level { mean, half_difference, deviation, lost, .. } = *level;
+        Sampled { mean, half_difference, deviation, lost }
+    }
+}
+
 impl Prediction<'_> {
     /// Where a pixel stops at a threshold, as far as it was probed.
     fn stop<'l>(&self, pixel: &'l ProbedPixel, deviation: f64) -> &'l Level {
@@ -42,6 +49,18 @@ impl Prediction<'_> {
         estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
     }
 
+    /// The estimate to be expected of a picture with the same few samples everywhere, by its halves: two, or what every pixel has.
+    pub fn estimate_fixed(&self, metric: Metric, samples: u32) -> Estimate {
+        let pixels: Vec<Sampled> = self
+            .rows()
+            .map(|pixel| Sampled::of(if samples == 2 { &pixel.pair } else { &pixel.levels[0] }))
+            .collect();
+        // All pixels tell, but with twice the variance of those that a check would draw: see `MeanSquare::of_halves`.
+        let squares: Vec<(f64, f64)> = pixels.iter().map(|pixel| (pixel.square(), 0.5)).collect();
+        let squares = MeanSquare::expected(&squares, self.pixels_total, self.confidence);
+        estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
+    }
+
     /// What FLIP makes of what is cut off at a threshold.
     pub fn flip_cut_off(&self, deviation: f64) -> f64 {
         flip_cut_off(&self.sampled(deviation), self.width() as u32)
@@ -49,12 +68,7 @@ impl Prediction<'_> {
 
     /// All pixels as they are at a threshold.
     fn sampled(&self, deviation: f64) -> Vec<Sampled> {
-        self.rows()
-            .map(|pixel| {
-                let Level { mean, half_difference, deviation, lost, .. } = *self.stop(pixel, deviation);
-                Sampled { mean, half_difference, deviation, lost }
-            })
-            .collect()
+        self.rows().map(|pixel| Sampled::of(self.stop(pixel, deviation))).collect()
     }
 
     /// What is cut off at a threshold; for FLIP nothing, as its estimate holds it.

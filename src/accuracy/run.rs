@@ -2,10 +2,11 @@
 
 use std::time::{Duration, Instant};
 
-use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalCounters, GoalSeconds, Verdict};
+use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalSeconds, Verdict};
 use super::check::{self, SamplingCheck};
+use super::choose::{Chosen, cut_off_share};
 use super::estimate::{MeanSquare, Sampled, cut_off, estimate, max_quantile, sampling_room};
-use super::predict::Prediction;
+use super::job::{GoalProgressFn, Job, PIXEL_CONFIDENCE, PROBE_PIXELS, ask};
 use super::time::{self, Steering};
 use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs};
 use crate::LazyOctree;
@@ -14,28 +15,19 @@ use crate::compile::{Control, Threads};
 use crate::error::RenderError;
 use crate::model::Model;
 use crate::octree::Tier;
-use crate::render::probe::Probe;
 use crate::render::{
-    AdaptiveSampling, Film, Outcome, Progress, RenderSettings, RenderedImage, Renderer, normal_quantile,
-    resample, worker_count,
+    AdaptiveSampling, Film, Kept, Outcome, Progress, RenderSettings, RenderedImage, Renderer,
+    normal_quantile, resample, worker_count,
 };
-use crate::render::{Kept, SceneTracer};
 use crate::scene::{EffectPlan, Scene};
-use crate::units::{Bytes, TileId};
+use crate::units::Bytes;
 
-/// Pixels that a probe looks at, at most one in [`PROBE_SHARE`].
-const PROBE_PIXELS: u32 = 4096;
-const PROBE_SHARE: u64 = 16;
-/// What is aimed at of an error goal.
-const AIM: f64 = 0.95;
 /// Pictures made for an error goal, at most.
 const ATTEMPTS_MAX: u32 = 3;
 /// Tiles for a time goal: each is about the error of the time.
 const STEERED_TILES_MIN: usize = 200;
 /// Part of a time goal that may go into choosing.
 const CHOOSING_SHARE: f64 = 0.1;
-/// Confidence of the intervals of pixels where the goal is about the whole picture. It only scales the threshold.
-const PIXEL_CONFIDENCE: f64 = 0.95;
 
 /// A picture made to a goal.
 #[derive(Debug)]
@@ -45,8 +37,6 @@ pub struct GoalImage {
     /// What it is worth.
     pub certificate: Certificate,
 }
-
-type GoalProgressFn<'f> = dyn FnMut(GoalProgress) -> Control + Send + 'f;
 
 /// Makes a picture to the goal of `options`, with size, filter, seed, effects and tile size of `settings`; an error
 /// goal sets contribution bound and samples, a time goal samples and, for small pictures, smaller tiles, and [`Goal::Exact`] the contribution bound.
@@ -147,50 +137,12 @@ pub(super) fn with_certificate(
     Ok(GoalImage { image, certificate })
 }
 
-struct Job<'a, 'p> {
-    octree: &'a LazyOctree,
-    scene: &'a Scene,
-    settings: RenderSettings,
-    options: GoalOptions,
-    threads: &'a Threads,
-    budget: &'a MemoryBudget,
-    progress: &'p mut GoalProgressFn<'p>,
-    counters: GoalCounters,
-    seconds: GoalSeconds,
-    start: Instant,
-}
-
 /// What is estimated of a picture's mean square error.
 enum Known {
     Squares(MeanSquare, Option<SamplingCheck>),
     Nothing,
     /// The caller did not want to wait.
     Cancelled,
-}
-
-impl<'a, 'p> Job<'a, 'p> {
-    fn new(
-        octree: &'a LazyOctree,
-        scene: &'a Scene,
-        settings: &RenderSettings,
-        options: &GoalOptions,
-        threads: &'a Threads,
-        budget: &'a MemoryBudget,
-        progress: &'p mut GoalProgressFn<'p>,
-    ) -> Job<'a, 'p> {
-        Job {
-            octree,
-            scene,
-            settings: *settings,
-            options: *options,
-            threads,
-            budget,
-            progress,
-            counters: GoalCounters::default(),
-            seconds: GoalSeconds::default(),
-            start: Instant::now(),
-        }
-    }
 }
 
 impl Job<'_, '_> {
@@ -218,7 +170,7 @@ impl Job<'_, '_> {
     }
 
     fn max_error(&mut self, metric: Metric, bound: f64) -> Result<GoalImage, RenderError> {
-        let (contribution_bound, deviation) = self.choose(metric, bound)?;
+        let (mut contribution_bound, first) = self.choose(metric, bound)?;
         self.seconds.choosing = self.start.elapsed().as_secs_f64();
         let (confidence, quantile) = match metric {
             Metric::Max => {
@@ -229,9 +181,13 @@ impl Job<'_, '_> {
             _ => (PIXEL_CONFIDENCE, normal_quantile(0.5 + 0.5 * PIXEL_CONFIDENCE)),
         };
         let mut best: Option<(f64, GoalImage)> = None;
-        let (mut error, mut contribution_bound) = (deviation * quantile, contribution_bound);
+        let mut chosen = first;
         loop {
-            let knobs = Knobs { contribution_bound, ..self.knobs(self.adaptive(confidence, error)) };
+            let sampling = match chosen {
+                Chosen::Fixed(samples) => Sampling::Fixed { samples },
+                Chosen::Deviation(deviation) => self.adaptive(confidence, deviation * quantile),
+            };
+            let knobs = Knobs { contribution_bound, ..self.knobs(sampling) };
             let (image, _) = self.picture(&knobs, None)?;
             let mut certificate = self.certificate(&image, knobs)?;
             let reached = certificate.error_bound(metric).unwrap_or(f64::INFINITY);
@@ -260,8 +216,19 @@ impl Job<'_, '_> {
             if cut > most {
                 contribution_bound *= (most / cut).max(1.0 / 64.0);
             }
-            let room = sampling_room(metric, bound, cut.min(most));
-            error *= (0.9 * room / estimated.max(f64::MIN_POSITIVE)).clamp(0.1, 1.0);
+            chosen = match chosen {
+                Chosen::Fixed(_) => {
+                    let begun = Instant::now();
+                    let deviation = self.choose_deviation_at(contribution_bound, metric, bound)?;
+                    self.seconds.choosing += begun.elapsed().as_secs_f64();
+                    Chosen::Deviation(deviation)
+                }
+                Chosen::Deviation(deviation) => {
+                    let room = sampling_room(metric, bound, cut.min(most));
+                    let less = (0.9 * room / estimated.max(f64::MIN_POSITIVE)).clamp(0.1, 1.0);
+                    Chosen::Deviation(deviation * less)
+                }
+            };
         }
         let (_, mut best) = best.ok_or(RenderError::Cancelled)?;
         best.certificate.counters = self.counters;
@@ -283,85 +250,6 @@ impl Job<'_, '_> {
             "it is only little above; ask for a little less".to_string()
         };
         not_met(format!("the error may be {reached:.2e}, not {bound:.2e}: {cause}"))
-    }
-
-    /// The contribution bound and the threshold (as a deviation) for an error goal.
-    fn choose(&mut self, metric: Metric, bound: f64) -> Result<(f64, f64), RenderError> {
-        // High, and then down in steps: a probe of first samples costs little, and following rays that need not be followed much.
-        let mut contribution_bound = match metric {
-            Metric::Flip => 0.2 * bound,
-            Metric::Rmse | Metric::Max => bound,
-        };
-        let most = cut_off_share(metric) * bound;
-        let mut cut_before = f64::INFINITY;
-        // Few pixels tell the size of what is cut off.
-        for _ in 0..8 {
-            let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
-            let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
-            let probe = self.probe(&renderer, 4)?;
-            let first = self.prediction(&probe);
-            let cut = match metric {
-                Metric::Flip => first.flip_cut_off(f64::INFINITY),
-                _ => first.cut_off(metric, f64::INFINITY),
-            };
-            self.count(&probe);
-            // What work budgets cut does not shrink.
-            if cut <= most || cut > 0.95 * cut_before {
-                break;
-            }
-            // FLIP grows with differences to the power of 0.7.
-            let power = if metric == Metric::Flip { 1.0 / 0.7 } else { 1.0 };
-            contribution_bound *= libm::pow(most / cut, power).clamp(1.0 / 64.0, 0.6);
-            cut_before = cut;
-        }
-        let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
-        let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
-        let mut probe = self.probe(&renderer, 1)?;
-        let deviation = self.choose_deviation(&mut probe, metric, bound);
-        self.count(&probe);
-        Ok((contribution_bound, deviation?))
-    }
-
-    /// The highest threshold that keeps the bound, by what the probe shows.
-    fn choose_deviation(
-        &mut self,
-        probe: &mut Probe<'_, SceneTracer<'_>>,
-        metric: Metric,
-        bound: f64,
-    ) -> Result<f64, RenderError> {
-        let first = self.prediction(probe);
-        if metric == Metric::Max {
-            let room = sampling_room(metric, bound, first.cut_off(metric, f64::INFINITY));
-            return Ok(AIM * room / max_quantile(self.pixels_total(), self.options.confidence));
-        }
-        let mut high = first.deviation_max();
-        let keeps = |prediction: &Prediction<'_>, deviation: f64| {
-            prediction.estimate(metric, deviation).whole <= AIM * bound
-        };
-        let samples_max = self.options.samples_max;
-        // From the first samples alone to ever more, until the bound is kept; then back to the highest threshold that keeps it.
-        let mut fails = None;
-        loop {
-            if !probe.refine(high, samples_max, &mut || ask(self.progress))? {
-                return Err(RenderError::Cancelled);
-            }
-            let prediction = self.prediction(probe);
-            if keeps(&prediction, high) {
-                let mut fits = high;
-                if let Some(mut fails) = fails {
-                    for _ in 0..5 {
-                        let middle = f64::sqrt(fits * fails);
-                        if keeps(&prediction, middle) { fits = middle } else { fails = middle }
-                    }
-                }
-                return Ok(fits);
-            }
-            if prediction.is_exhausted(high) {
-                return Ok(high);
-            }
-            fails = Some(high);
-            high *= 0.5;
-        }
     }
 
     fn max_time(&mut self, limit: Duration) -> Result<GoalImage, RenderError> {
@@ -429,70 +317,6 @@ impl Job<'_, '_> {
             };
         }
         Ok(GoalImage { image, certificate })
-    }
-
-    fn pixels_total(&self) -> u64 {
-        u64::from(self.settings.width) * u64::from(self.settings.height)
-    }
-
-    fn knobs(&self, sampling: Sampling) -> Knobs {
-        Knobs {
-            tier: self.octree.tier(),
-            contribution_bound: self.settings.contribution_bound,
-            work_budget: self.settings.work_budget,
-            sampling,
-            tile_size: self.settings.tile_size,
-        }
-    }
-
-    fn adaptive(&self, confidence: f64, error: f64) -> Sampling {
-        Sampling::Adaptive {
-            samples_min: AdaptiveSampling::SAMPLES_MIN,
-            samples_max: self.options.samples_max,
-            confidence,
-            thresholds: vec![TileThreshold { first_tile: TileId(0), error }],
-        }
-    }
-
-    /// Settings under which a pixel's samples are those that the picture will have.
-    fn probe_settings(&self) -> RenderSettings {
-        let adaptive = AdaptiveSampling {
-            samples_min: AdaptiveSampling::SAMPLES_MIN,
-            error: 0.0,
-            confidence: PIXEL_CONFIDENCE,
-        };
-        RenderSettings {
-            samples_per_pixel: self.options.samples_max,
-            adaptive: Some(adaptive),
-            ..self.settings
-        }
-    }
-
-    /// A probe of the usual number of pixels, or of one in so many of these.
-    fn probe<'r>(
-        &mut self,
-        renderer: &'r Renderer<'_>,
-        one_in: u32,
-    ) -> Result<Probe<'r, SceneTracer<'r>>, RenderError> {
-        let usual = (self.pixels_total() / PROBE_SHARE).clamp(16, u64::from(PROBE_PIXELS)) as u32;
-        let share = (usual / one_in).max(usual.min(128));
-        let probe = renderer.probe(share, AdaptiveSampling::SAMPLES_MIN, &mut || ask(self.progress))?;
-        probe.ok_or(RenderError::Cancelled)
-    }
-
-    fn prediction<'c>(&self, probe: &'c Probe<'_, SceneTracer<'_>>) -> Prediction<'c> {
-        Prediction {
-            cells: &probe.cells,
-            columns: probe.columns,
-            pixels_total: self.pixels_total(),
-            samples_max: self.options.samples_max,
-            confidence: self.options.confidence,
-        }
-    }
-
-    fn count(&mut self, probe: &Probe<'_, SceneTracer<'_>>) {
-        self.counters.effects.merge(&probe.effects());
-        self.counters.trace.merge(&probe.queries());
     }
 
     /// Makes a picture and adds what it took; with `steering`, to the clock, and what was chosen comes back.
@@ -645,15 +469,6 @@ fn whole(image: &RenderedImage) -> Progress {
     Progress { samples, samples_total: samples, tiles, tiles_total: tiles }
 }
 
-/// The part of an error goal that cutting off may take. In RMSE it adds up with the rest in squares, and so half of it leaves 0.87 for
-/// samples.
-fn cut_off_share(metric: Metric) -> f64 {
-    match metric {
-        Metric::Rmse => 0.5,
-        Metric::Max | Metric::Flip => 0.25,
-    }
-}
-
 /// Tiles small enough that there are at least [`STEERED_TILES_MIN`], but not so small that their borders cost much.
 fn tile_size_to_steer(settings: &RenderSettings) -> u32 {
     let mut size = settings.tile_size;
@@ -667,10 +482,4 @@ fn tile_size_to_steer(settings: &RenderSettings) -> u32 {
 
 fn not_met(reason: String) -> Verdict {
     Verdict::NotMet { reason }
-}
-
-/// Asks the caller whether to go on while the knobs are chosen.
-fn ask(progress: &mut GoalProgressFn<'_>) -> Control {
-    let nothing = Progress { samples: 0, samples_total: 0, tiles: 0, tiles_total: 0 };
-    progress(GoalProgress { attempt: 0, progress: nothing })
 }

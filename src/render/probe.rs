@@ -40,20 +40,28 @@ pub(crate) struct Level {
 pub(crate) struct ProbedPixel {
     blocks: SampleBlocks,
     contrast: DVec3,
+    /// After two samples: a picture of so few is as good as its halves say, as they have no say in stopping.
+    pub pair: Level,
     /// From the first samples on, each with twice the samples of the one before.
     pub levels: Vec<Level>,
 }
 
+impl Level {
+    fn of(blocks: &SampleBlocks, contrast: DVec3) -> Level {
+        let colour = |value: DVec3| value.to_array().map(|channel| channel as f32);
+        Level {
+            samples: blocks.samples(),
+            mean: colour(blocks.mean()),
+            half_difference: colour(blocks.half_difference()),
+            deviation: blocks.deviation(contrast),
+            lost: blocks.lost(),
+        }
+    }
+}
+
 impl ProbedPixel {
     fn record(&mut self) {
-        let colour = |value: DVec3| value.to_array().map(|channel| channel as f32);
-        self.levels.push(Level {
-            samples: self.blocks.samples(),
-            mean: colour(self.blocks.mean()),
-            half_difference: colour(self.blocks.half_difference()),
-            deviation: self.blocks.deviation(self.contrast),
-            lost: self.blocks.lost(),
-        });
+        self.levels.push(Level::of(&self.blocks, self.contrast));
     }
 
     /// The level at which adaptive sampling stops, as far as the pixel was probed.
@@ -180,19 +188,22 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
         let places: Vec<[u32; 2]> = (0..ground.height)
             .flat_map(|y| (0..ground.width).map(move |x| [ground.x + x, ground.y + y]))
             .collect();
-        let rays =
-            self.trace(&places, 0, samples_min, |place, radiance, lost| blocks[place].add(radiance, lost))?;
+        let mut pairs = vec![SampleBlocks::EMPTY; blocks.len()];
+        let rays = self.trace(&places, 0, samples_min, |place, radiance, lost| {
+            blocks[place].add(radiance, lost);
+            if blocks[place].samples() == 2 {
+                pairs[place] = blocks[place];
+            }
+        })?;
         let size = [ground.width as usize, ground.height as usize];
         let range = |x: usize, y: usize| blocks[y * size[0] + x].range();
         let mut pixels = Vec::with_capacity(area.width as usize * area.height as usize);
         for y in area.y - ground.y..area.y - ground.y + area.height {
             for x in area.x - ground.x..area.x - ground.x + area.width {
                 let at = [x as usize, y as usize];
-                let mut pixel = ProbedPixel {
-                    blocks: blocks[at[1] * size[0] + at[0]],
-                    contrast: contrast(size, at, range),
-                    levels: Vec::new(),
-                };
+                let (place, contrast) = (at[1] * size[0] + at[0], contrast(size, at, range));
+                let pair = Level::of(&pairs[place], contrast);
+                let mut pixel = ProbedPixel { blocks: blocks[place], contrast, pair, levels: Vec::new() };
                 pixel.record();
                 pixels.push(pixel);
             }
