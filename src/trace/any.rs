@@ -6,18 +6,18 @@ use super::policy::{Candidate, Policy};
 use super::stack::{Limit, Stack};
 use super::{MaterialSet, Occlusion};
 use crate::geom::Ray;
-use crate::octree::{Child, Fine, LocalRay, QueryRay, Reached, TriangleLocation, splat_interval};
+use crate::octree::{Child, Fine, LocalRay, QueryRay, RayGroup, Reached, TriangleLocation, splat_interval};
 use crate::simd::{ErrorBounds, Interval, LANES, Operation, Simd};
 use crate::stats::TraceCounters;
 use crate::units::BlockId;
 
 /// One any-hit query on its way.
-struct Any<'a, S: Simd, P: Policy> {
-    local: &'a mut LocalRay,
+pub(super) struct Any<'a, S: Simd, P: Policy> {
+    pub local: &'a mut LocalRay,
     /// What the policy needs of the ray.
     prepared: P::Ray<S>,
     /// Holds the ray's interval.
-    outer: Interval<S::F>,
+    pub outer: Interval<S::F>,
     /// Lies inside the ray's interval.
     inner: Interval<S::F>,
     /// Whether blocks have the frame of the coarse tree.
@@ -26,7 +26,7 @@ struct Any<'a, S: Simd, P: Policy> {
     ray: &'a Ray,
     ignore: Option<&'a MaterialSet>,
     /// An ignored material was hit.
-    filtered: bool,
+    pub filtered: bool,
 }
 
 /// What an any-hit query that stopped has still to look at. No order is needed: any hit will do.
@@ -84,24 +84,9 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
     if let Some(reason) = group.prepare(simd, lane, ray, &work.octree.space, query, local) {
         return Err(RayError::Invalid(reason));
     }
-    let (outer, inner) = if query.is_plain() {
-        let (low, high) = group.outer(lane);
-        (splat_interval(simd, low, high), group.inner(simd, lane))
-    } else {
-        let (low, high) = query.local_inner(ray.t_min, ray.t_max);
-        let outer = splat_interval(simd, query.local_low(ray.t_min), query.local_high(ray.t_max));
-        (outer, splat_interval(simd, low, high))
-    };
     let mut any: Any<'_, S, P> = Any {
-        prepared: P::prepare(simd, work.octree.tier, &local.test.triangles),
-        local,
-        outer,
-        inner,
-        shares_frame: work.octree.space.is_shared,
-        query,
-        ray,
-        ignore,
         filtered: is_resumed && unvisited.filtered,
+        ..Any::new(simd, work, (group, lane), ray, ignore, (query, local))
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
@@ -201,15 +186,15 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
 
 /// The traversal of one block; gives whether a triangle of it blocks the ray. A function of its own, so that the registers
 /// are its own.
-struct VisitBlock<'v, 'r, S: Simd, P: Policy> {
-    any: &'v mut Any<'r, S, P>,
-    slot: &'v [u8],
+pub(super) struct VisitBlock<'v, 'r, S: Simd, P: Policy> {
+    pub any: &'v mut Any<'r, S, P>,
+    pub slot: &'v [u8],
     /// Which of the block's sub-boxes the ray meets.
-    hits: u32,
+    pub hits: u32,
     /// Its entries stay where they are.
-    stack: Stack<'v>,
-    exact: &'v mut ExactRay,
-    counters: &'v mut TraceCounters,
+    pub stack: Stack<'v>,
+    pub exact: &'v mut ExactRay,
+    pub counters: &'v mut TraceCounters,
 }
 
 impl<S: Simd, P: Policy> Operation<S> for VisitBlock<'_, '_, S, P> {
@@ -250,7 +235,38 @@ impl<S: Simd, P: Policy> Operation<S> for VisitBlock<'_, '_, S, P> {
     }
 }
 
-impl<S: Simd, P: Policy> Any<'_, S, P> {
+impl<'a, S: Simd, P: Policy> Any<'a, S, P> {
+    /// A query that begins, for ray `lane` of a group, prepared into `query` and `local`.
+    #[inline(always)]
+    pub fn new(
+        simd: S,
+        work: &Work<'_, '_>,
+        (group, lane): (&RayGroup, usize),
+        ray: &'a Ray,
+        ignore: Option<&'a MaterialSet>,
+        (query, local): (&'a QueryRay, &'a mut LocalRay),
+    ) -> Any<'a, S, P> {
+        let (outer, inner) = if query.is_plain() {
+            let (low, high) = group.outer(lane);
+            (splat_interval(simd, low, high), group.inner(simd, lane))
+        } else {
+            let (low, high) = query.local_inner(ray.t_min, ray.t_max);
+            let outer = splat_interval(simd, query.local_low(ray.t_min), query.local_high(ray.t_max));
+            (outer, splat_interval(simd, low, high))
+        };
+        Any {
+            prepared: P::prepare(simd, work.octree.tier, &local.test.triangles),
+            local,
+            outer,
+            inner,
+            shares_frame: work.octree.space.is_shared,
+            query,
+            ray,
+            ignore,
+            filtered: false,
+        }
+    }
+
     #[inline(always)]
     fn visit_leaf(
         &mut self,

@@ -247,8 +247,7 @@ impl Policy for Selected {
         inner: &Interval<S::F>,
     ) -> (u32, u32, SelectedSeen<S::F>) {
         if let SelectedRay::Certified = prepared {
-            let (survivors, certain) =
-                triangles.survivors_and_certain(simd, packet, bounds, interval, inner);
+            let (survivors, certain) = triangles.survivors_and_certain(simd, packet, bounds, interval, inner);
             return (survivors, certain, SelectedSeen::Certified);
         }
         let (candidates, seen) = Self::candidates(simd, prepared, triangles, packet, bounds, interval);

@@ -11,7 +11,7 @@ use super::keep::WaitingHits;
 use super::load::{LoadScratch, Pins};
 use super::policy::{Certified, Fast, Policy, Selected};
 use super::stack::{Entries, UNUSED};
-use super::together::{Lanes, closest_hits_together};
+use super::together::{Lanes, closest_hits_together, occlusions_together};
 use super::{Hit, LoadStats, MaterialSet, Occlusion};
 use crate::access::QueryKind;
 use crate::budget::Reservation;
@@ -258,10 +258,22 @@ impl Query for Occlusions<'_, '_> {
     fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
-        let mut unvisited = Unvisited::UNSET;
+        let (mut unvisited, mut lanes) = (Unvisited::UNSET, Lanes::UNSET);
+        // What is written down of a query is one ray's.
+        let may_join = work.octree.space.is_shared && !work.pins.writes_down();
         let mut index = 0;
         for (rays, out) in self.rays.chunks(LANES).zip(self.out.chunks_mut(LANES)) {
             let group = RayGroup::new(simd, rays, &work.octree.space);
+            if let Some(bundle) = group.bundle()
+                && may_join
+            {
+                work.counters.rays += LANES as u64;
+                let bundle = (&group, bundle);
+                occlusions_together::<S, P>(simd, &mut work, bundle, rays, self.ignore, out, &mut lanes)
+                    .map_err(|error| error.at(index))?;
+                index += LANES;
+                continue;
+            }
             for (lane, (ray, out)) in rays.iter().zip(out).enumerate() {
                 work.counters.rays += 1;
                 work.pins.begin_query(QueryKind::Occlusion);
