@@ -1,6 +1,7 @@
-//! Every way in which the library can fail, with what, where and what to do.
+//! Every way in which the library can fail, with what, where and what to do. Those of the roles of a cluster stand with them, in
+//! [`cluster`](crate::cluster).
 //!
-//! One enum per room, so that a caller can match on what it can handle; [`Error`] joins them for callers
+//! One enum per room, so that a caller can match on what it can handle; [`Error`] joins the usual ones for callers
 //! that only report.
 
 use std::io;
@@ -638,7 +639,8 @@ pub enum ScheduleError {
     },
 }
 
-/// Any failure of the library.
+/// The failures that most callers meet, as one type. Those of instances, textures, scene files and clusters are not among them: a caller
+/// that meets these too is better off with `Box<dyn std::error::Error>`.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -6,6 +6,20 @@
 //! [`budget::MemoryBudget`] that the caller sets, and hits are certified: no ray passes through a
 //! closed surface.
 //!
+//! # Where to start
+//! - Hits of rays: [`compile::compile_file`] once, then [`LazyOctree::open`] over a [`source::DiskSource`] and a [`trace::Tracer`] for each
+//!   thread. The README has this as one program; [`trace`] has an example with crossings and lines of sight.
+//! - Hits before anything is compiled: a [`compile::LazyModel`] in the place of the source.
+//! - Geometry that never was a file: a [`compile::Compiler`] is an [`import::MeshSink`]; [`import::TriangleSink`] takes loose triangles.
+//! - A picture: [`scene::Scene`] and [`render::Renderer`]; [`render`] has an example. To an error or a time: [`accuracy::render_to_goal`].
+//! - The same model in many places: [`instance::Instances`].
+//! - Little memory and rays in no order: [`trace::RayPool`].
+//! - Many machines: [`cluster`].
+//!
+//! Of the features, `png` and `gzip` are on by default. `gltf`, `jpeg`, `exr`, `zstd`, `scene-file`, `tcp` and `mpi` each add what the item that
+//! they are for says; nothing else changes.
+//!
+//! # Rooms
 //! A room imports only from rooms above it in this list (`tests/tidy.rs` fails otherwise);
 //! `docs/architecture.md` explains why and numbers the invariants (I1 to I8) that the code refers to.
 //!

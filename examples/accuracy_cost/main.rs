@@ -21,7 +21,7 @@ use common::progress::Meter;
 const HELP: &str = "\
 accuracy_cost: what accuracy costs in time
 
-    cargo run --release --example accuracy_cost [MODEL] [--out report/]
+    cargo run --release --example accuracy_cost -- [MODEL] [OPTION]...
 
 Without MODEL: gears above a mirror, a stack of glass, and a sphere 100,000 units away. MODEL is an OBJ, PLY or STL file. Each knob
 is turned alone and then together with others, and every picture is held against a reference. Into the folder go accuracy.csv,

@@ -27,23 +27,24 @@ render: makes a picture of a model inside a memory budget
 
 Without a MODEL, gears are made in code and go straight into the compiler, however many they are.
 A model is compiled to MODEL.outcrop, unless that file is there and the model has not changed since: as far as the picture needs it,
-or all of it at once with --compile-only or --recompile.
+or all of it at once with --compile-only or --recompile. What is compiled so far is kept in MODEL.outcrop.working,
+images of its materials in MODEL.outcrop.tiles.
 
 model
     --gears N               wheels per edge of the gears that are made without a MODEL (4): 27,456 N^3 + 96 triangles
 picture
     -o, --output FILE       .png, .exr or .pfm; MODEL.png in the current folder if not given
-    --size WxH              512x512; one number for a square
+    --size WxH              512x512 (gears 768x768); one number for a square
     --spp N                 samples per pixel (1)
     --eye X,Y,Z             camera; chosen to show the whole model if not given
     --look-at X,Y,Z         the model's middle if not given
-    --up X,Y,Z
-    --fov DEGREES           vertical angle of view (45)
+    --up X,Y,Z              what is upward in the picture (0,0,1 with --eye)
+    --fov DEGREES           vertical angle of view (45; 40 if the camera is chosen)
     --orthographic HEIGHT   parallel projection, HEIGHT units from top to bottom
     --light X,Y,Z[,I]       point light of intensity I (1); may be repeated; chosen to suit the camera if not given
     --depth-bound X         follow rays while they can add more than X to a sample (0.001; 0 follows all)
 resources
-    --memory BYTES          budget of everything together, as in 64MiB (256MiB)
+    --memory BYTES          budget of everything together, as in 64MiB (256MiB; gears 64MiB)
     --threads N             all of the machine's if not given
     --source KIND           disk (reads that leave no page cache), cached, mmap or memory (disk)
     --slots N               at most N cache slots

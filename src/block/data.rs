@@ -16,7 +16,10 @@ impl BlockLimits {
     /// Largest allowed `block_bytes_max`.
     pub const BLOCK_BYTES_MOST: u32 = 256 << 10;
 
-    /// Why these limits cannot be used, if they cannot.
+    /// Whether these limits can be used.
+    ///
+    /// # Errors
+    /// Why they cannot: a block size outside of [`BlockLimits::BLOCK_BYTES_LEAST`] to [`BlockLimits::BLOCK_BYTES_MOST`].
     pub fn validate(self) -> Result<(), &'static str> {
         if (Self::BLOCK_BYTES_LEAST..=Self::BLOCK_BYTES_MOST).contains(&self.block_bytes_max) {
             Ok(())

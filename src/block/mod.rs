@@ -1,7 +1,7 @@
 //! One block: bytes to triangles and back. No I/O. Input bytes are untrusted (I5).
 //!
-//! A stored block is a fixed header and a payload. The payload is filtered (vertices as byte planes of differences,
-//! indices as distances below the highest index so far, ids as differences, materials as runs) and then compressed
+//! A stored block is a fixed header and a payload. The payload is filtered (vertices as byte planes of differences from what is
+//! expected of them, triangles as shapes that say where each corner comes from, ids and materials as runs) and then compressed
 //! with the block's [`Codec`]. `docs/format.md` gives every byte. Encoding is lossless, also for -0.0 and denormals.
 //!
 //! Attributes of triangle corners stand beside the blocks, in pages of their own: [`attributes`].

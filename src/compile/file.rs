@@ -11,6 +11,7 @@ use crate::import::{ImportOptions, import_file, source_record};
 use crate::model::SourceRecord;
 
 /// Compiles the model file `input` to `output`, in memory bounded by `budget`. `progress` is called some hundred times.
+/// What the import left out or had to guess ([`ImportReport`](crate::import::ImportReport)) is not reported.
 ///
 /// # Errors
 /// [`CompileError`]; no file is left then, and one that was at `output` before is as it was.

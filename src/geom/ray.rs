@@ -6,7 +6,7 @@
 pub struct Ray {
     /// Where `t` is 0.
     pub origin: [f64; 3],
-    /// Not zero; any length.
+    /// Finite and not zero; any length.
     pub direction: [f64; 3],
     /// At least 0.
     pub t_min: f64,
@@ -25,7 +25,11 @@ impl Ray {
         [0, 1, 2].map(|axis| self.origin[axis] + t * self.direction[axis])
     }
 
-    /// Why the ray cannot be traced, if it cannot.
+    /// Whether the ray can be traced.
+    ///
+    /// # Errors
+    /// Why it cannot: a component that is not finite, a direction of zero, or an interval that is not `0 <= t_min <= t_max` with a finite
+    /// `t_min`.
     pub fn validate(&self) -> Result<(), &'static str> {
         if self.origin.iter().chain(&self.direction).any(|x| !x.is_finite()) {
             return Err("a component of its origin or direction is not finite");

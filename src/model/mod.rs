@@ -1,7 +1,8 @@
 //! The compiled file: header, block directory, materials, precision record. Bytes to structures and back; no I/O.
 //!
 //! `header | blocks | directory | materials`, without gaps; in a file with attributes
-//! `header | blocks | pages | directory | materials | directory of the pages`. `docs/format.md` gives every byte.
+//! `header | blocks | pages | directory | materials | directory of the pages`; behind that, if materials name images, the table of
+//! images. `docs/format.md` gives every byte.
 
 mod attributes;
 mod cells;

@@ -63,7 +63,7 @@ impl LazyOctree {
     /// in the budget before.
     ///
     /// # Errors
-    /// [`TraceError::Budget`] if the budget cannot hold one slot for each tracer.
+    /// [`TraceError::Budget`] if the budget cannot hold directory and coarse tree, and then one slot and the scratch for each tracer.
     pub fn open(
         source: Arc<dyn BlockSource>,
         budget: &MemoryBudget,

@@ -67,7 +67,8 @@ pub enum TreeQuality {
 /// How an octree is opened. `..Default::default()` gives one tracer with certified hits and the best instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OctreeOptions {
-    /// How many tracers may live at once; each needs its own scratch and at least one slot.
+    /// How many tracers may live at once; each needs its own scratch and at least one slot. A render takes one for each of its
+    /// threads.
     pub tracers_max: u32,
     /// Layout of leaves.
     pub leaf_layout: LeafLayout,

@@ -4,6 +4,39 @@
 //! by pixel and number, every sample adds up its light in the order of its own ray tree, and work budgets are divided,
 //! not shared. An effect that the [`EffectPlan`](crate::scene::EffectPlan) leaves out makes no ray (I6). An error
 //! in a query ends the render; there is never a hole in a picture that was returned as complete.
+//!
+//! # Example
+//! The whole of a compiled model, with a camera and lights that suit it:
+//! ```no_run
+//! use std::path::Path;
+//! use std::sync::Arc;
+//!
+//! use outcrop::octree::OctreeOptions;
+//! use outcrop::render::{Control, RenderSettings, Renderer, Threads};
+//! use outcrop::scene::Scene;
+//! use outcrop::source::DiskSource;
+//! use outcrop::units::Bytes;
+//! use outcrop::{BlockSource, LazyOctree, MemoryBudget};
+//!
+//! let budget = MemoryBudget::new(Bytes::mib(256));
+//! let source = Arc::new(DiskSource::open("statue.outcrop")?);
+//! let settings = RenderSettings::new(640, 480);
+//! let scene = Scene::automatic(&source.model().bounds, 640.0 / 480.0);
+//! let threads = Threads::Count(4);
+//!
+//! // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
+//! let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
+//! let set_aside = budget.reserve(picture_bytes, "the picture")?;
+//! let options = OctreeOptions { tracers_max: 4, ..OctreeOptions::default() };
+//! let octree = LazyOctree::open(source, &budget, options)?;
+//! drop(set_aside);
+//!
+//! let renderer = Renderer::new(&octree, &scene, &settings, &budget)?;
+//! println!("{}", renderer.plan().explain());
+//! let image = renderer.render(&threads, &mut |_| Control::Continue)?;
+//! image.into_complete()?.write(Path::new("statue.png"))?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod adaptive;
 mod bounce;

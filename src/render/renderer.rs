@@ -187,11 +187,12 @@ impl<'a> Renderer<'a> {
     }
 
     /// Makes the picture on `threads`. `progress` is called after each batch of samples, by one thread at a time;
-    /// answering [`Control::Cancel`] ends the render soon and gives the tiles finished so far.
+    /// answering [`Control::Cancel`] ends the render soon and gives the tiles finished so far. Each thread takes a tracer, so the octree
+    /// must have been opened for as many ([`OctreeOptions::tracers_max`](crate::octree::OctreeOptions::tracers_max)).
     ///
     /// # Errors
     /// [`RenderError::Budget`] if film and scratch do not fit, [`RenderError::Trace`] if a block cannot be brought
-    /// in. There is no picture then.
+    /// in, or if there are more threads than tracers. There is no picture then.
     pub fn render(
         &self,
         threads: &Threads,

@@ -21,7 +21,7 @@ pub enum PathEnd {
 }
 
 /// Size, quality and limits of a picture. The picture is a pure function of scene, model and the fields above
-/// `tile_size` (I2); `tile_size` and `batch_samples` trade memory for speed and do not show.
+/// `tile_size` (I2); `tile_size`, `detail_bytes` and `batch_samples` trade memory for speed and do not show.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RenderSettings {
     /// Pixels across.

@@ -29,7 +29,7 @@ pub enum Effect {
     Interreflection,
     /// A lens in place of the pinhole.
     DepthOfField,
-    /// The camera moves while the shutter is open.
+    /// The camera, or instances, move while the shutter is open.
     MotionBlur,
     /// More than one sample per pixel.
     Antialiasing,

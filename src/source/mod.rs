@@ -1,4 +1,4 @@
-//! Where blocks come from: disk, mapped file, memory; later a network.
+//! Where blocks come from: disk, mapped file, memory. A network is one more: [`RemoteSource`](crate::cluster::RemoteSource).
 
 use std::sync::Arc;
 
