@@ -35,6 +35,7 @@ mod sampling;
 mod settings;
 mod shadows;
 mod stage;
+mod tile_samples;
 pub(crate) mod tiles;
 mod workers;
 
@@ -54,7 +55,7 @@ pub use renderer::{RenderedImage, Renderer};
 pub use report::{Outcome, RenderReport, WorkerSeconds};
 pub use sampling::Filter;
 pub(crate) use sampling::mix;
-pub use settings::{PathEnd, RenderSettings};
+pub use settings::{PathEnd, RenderSettings, WaitingRays};
 pub(crate) use tiles::TileGrid;
 pub(crate) use workers::worker_count;
 

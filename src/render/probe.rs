@@ -11,7 +11,7 @@ use super::paths::{self, PathTracer};
 use super::query::RayQuery;
 use super::stage::Stage;
 use super::tiles::Area;
-use super::workers::contrast;
+use super::tile_samples::contrast;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::compile::Control;
 use crate::error::RenderError;
