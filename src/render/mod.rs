@@ -37,6 +37,7 @@ mod shadows;
 mod stage;
 mod tile_samples;
 pub(crate) mod tiles;
+mod waiting;
 mod workers;
 
 pub use crate::compile::{Control, Threads};
@@ -52,7 +53,7 @@ pub(crate) use query::SceneTracer;
 pub(crate) use region::Canvas;
 pub use region::{Region, RegionRenderer};
 pub use renderer::{RenderedImage, Renderer};
-pub use report::{Outcome, RenderReport, WorkerSeconds};
+pub use report::{Outcome, RenderReport, WaitingReport, WorkerSeconds};
 pub use sampling::Filter;
 pub(crate) use sampling::mix;
 pub use settings::{PathEnd, RenderSettings, WaitingRays};

@@ -80,7 +80,8 @@ impl TileSamples {
         self.active.clear();
         self.active.extend(0..count as u32);
         self.first = 0;
-        self.per_pixel = settings.adaptive.map_or(settings.samples_per_pixel, |adaptive| adaptive.samples_min);
+        self.per_pixel =
+            settings.adaptive.map_or(settings.samples_per_pixel, |adaptive| adaptive.samples_min);
     }
 
     /// Samples of this round.
@@ -212,7 +213,9 @@ impl TileSamples {
     pub fn round_max(stage: &Stage) -> u32 {
         let settings = &stage.settings;
         let border = if settings.adaptive.is_some() { 2 } else { 0 };
-        u32::try_from(tile_pixels(stage, border)).unwrap_or(u32::MAX).saturating_mul(settings.samples_per_pixel)
+        u32::try_from(tile_pixels(stage, border))
+            .unwrap_or(u32::MAX)
+            .saturating_mul(settings.samples_per_pixel)
     }
 }
 

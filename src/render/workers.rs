@@ -13,9 +13,11 @@ use super::report::WorkerSeconds;
 use super::stage::Stage;
 use super::tile_samples::{FinishedTile, TileSamples};
 use super::tiles::Area;
+use super::waiting::{OpenedTile, PoolQuery, WaitingPlan, WaitingWorker};
 use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
 use crate::stats::TraceCounters;
+use crate::trace::LoadStats;
 use crate::units::TileId;
 
 /// What the workers did together.
@@ -24,6 +26,8 @@ pub(crate) struct Totals {
     pub effects: EffectCounters,
     pub trace: TraceCounters,
     pub seconds: WorkerSeconds,
+    /// How loads went where rays waited; of times, the sum over threads.
+    pub loads: LoadStats,
     pub tiles: u32,
     pub is_cancelled: bool,
 }
@@ -65,6 +69,37 @@ pub(crate) fn run<Q: RayQuery>(
     thresholds: &Thresholds<'_>,
     progress: &mut ProgressFn<'_>,
 ) -> Result<Totals, RenderError> {
+    share(stage, order, film, threads, thresholds, progress, &|shared| shared.work(make_query))
+}
+
+/// [`run`] with rays that wait for blocks: each thread has a pool of its own from `make_query`.
+///
+/// # Errors
+/// As for [`run`].
+#[expect(clippy::too_many_arguments, reason = "as `run`, and the plan")]
+pub(super) fn run_waiting<'o>(
+    stage: &Stage,
+    plan: &WaitingPlan,
+    order: &[u32],
+    film: &mut Film,
+    threads: &Threads,
+    make_query: &(dyn Fn() -> Result<PoolQuery<'o>, TraceError> + Sync),
+    thresholds: &Thresholds<'_>,
+    progress: &mut ProgressFn<'_>,
+) -> Result<Totals, RenderError> {
+    share(stage, order, film, threads, thresholds, progress, &|shared| shared.work_waiting(plan, make_query))
+}
+
+/// Has each thread `work` on the tiles of `order`.
+fn share(
+    stage: &Stage,
+    order: &[u32],
+    film: &mut Film,
+    threads: &Threads,
+    thresholds: &Thresholds<'_>,
+    progress: &mut ProgressFn<'_>,
+    work: &(dyn Fn(&Shared<'_>) + Sync),
+) -> Result<Totals, RenderError> {
     // A closure of its own ends the callback's lifetime with the shared state's.
     let mut progress = |state: Progress| progress(state);
     let shared = Shared {
@@ -81,7 +116,7 @@ pub(crate) fn run<Q: RayQuery>(
         totals: Mutex::new(Totals::default()),
         error: Mutex::new(None),
     };
-    on_threads(threads, &|| shared.work(make_query));
+    on_threads(threads, &|| work(&shared));
     if let Some((_, error)) = shared.error.into_inner() {
         return Err(error);
     }
@@ -133,6 +168,41 @@ impl Shared<'_> {
             totals.seconds.merge(&worker.paths.seconds);
             result
         });
+        self.end(tile, result);
+    }
+
+    /// [`Shared::work`] with rays that wait.
+    fn work_waiting<'o>(
+        &self,
+        plan: &WaitingPlan,
+        make_query: &(dyn Fn() -> Result<PoolQuery<'o>, TraceError> + Sync),
+    ) {
+        let _stop_on_panic = StopOnPanic(&self.stop);
+        let mut tile = TileId(0);
+        let result = make_query().and_then(|query| {
+            let mut worker = WaitingWorker::new(self, self.stage, plan, query);
+            let mut next_tile = || {
+                let id = TileId(self.next.fetch_add(1, Ordering::Relaxed));
+                let cell = *self.order.get(id.0 as usize)?;
+                Some(OpenedTile { id, cell, threshold: (self.thresholds)(id) })
+            };
+            let result = worker.run(&mut next_tile, &|cell, finished| self.finish(cell, finished));
+            tile = worker.tile();
+            let mut totals = self.totals.lock();
+            totals.effects.merge(&worker.effects());
+            totals.trace.merge(&worker.trace());
+            totals.seconds.merge(&worker.seconds());
+            let loads = worker.loads();
+            totals.loads.loading += loads.loading;
+            totals.loads.stall += loads.stall;
+            totals.loads.in_flight_peak = totals.loads.in_flight_peak.max(loads.in_flight_peak);
+            result.map(|_| ())
+        });
+        self.end(tile, result.map_err(RenderError::from));
+    }
+
+    /// How a worker ended; `tile` is the one that it was at.
+    fn end(&self, tile: TileId, result: Result<(), RenderError>) {
         if let Err(error) = result {
             self.stop.store(true, Ordering::Relaxed);
             let mut first = self.error.lock();
