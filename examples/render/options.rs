@@ -48,7 +48,7 @@ resources
     --source KIND           disk (reads that leave no page cache), cached, mmap or memory (disk)
     --slots N               at most N cache slots
     --waiting N             at most N rays wait for blocks that are not in the cache while others are traced; auto or never (auto:
-                            if there are fewer slots than blocks, and mirrors, glass or interreflection)
+                            where there are fewer slots than blocks, and interreflection)
     --loaders N             threads beside the others that load blocks for rays that wait (0)
     --keep-free BYTES       let the cache follow the system's free memory and leave so much to others
     --policy KIND           which block makes room: lru, clock or s3-fifo (lru)

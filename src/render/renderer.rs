@@ -260,14 +260,16 @@ impl<'a> Renderer<'a> {
         if stage.settings.waiting != WaitingRays::Auto {
             return Some((octree, plan));
         }
-        if u64::from(octree.cache().slot_count()) >= u64::from(model.expected_block_count()) {
+        let cache = octree.cache();
+        if cache.slot_count() >= model.expected_block_count() {
             return None;
         }
+        let cache_bytes = cache.slot_bytes().0.saturating_mul(u64::from(cache.slot_count()));
         // What the threads' tracers take is not reserved yet either.
         let tracers = tracer_bytes_about(model).0.saturating_mul(workers as u64);
         let film = Film::bytes_needed(&stage.grid, Kept::by(&stage.settings)).0;
         let available = self.budget.available().0.saturating_sub(film).saturating_sub(tracers);
-        while waiting_bytes(stage, model, &plan, workers).0 > available {
+        while waiting_bytes(stage, model, &plan, workers).0 > available.min(cache_bytes) {
             plan = plan.smaller(stage, workers)?;
         }
         Some((octree, plan))

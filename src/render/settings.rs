@@ -33,8 +33,9 @@ pub enum PathEnd {
 pub enum WaitingRays {
     /// Its thread loads the block at once.
     Never,
-    /// They wait if there are fewer slots than blocks and rays go on from hits: mirrors, glass, interreflection. As many as a share of
-    /// the memory that all blocks would take holds, at most 65,536, and fewer or none if the budget has no room for them: nothing fails for that.
+    /// They wait if there are fewer slots than blocks and the scene has interreflection, whose rays go anywhere. Those of mirrors and glass mostly follow each other,
+    /// as camera rays do, and taking them out of their order was found to cost more loads than it saves as often as not. As many may wait as a part of the
+    /// memory that all blocks would take holds, with no more than the cache has, at most 65,536; fewer or none if the budget has no room for them: nothing fails for that.
     #[default]
     Auto,
     /// So many may wait, all threads together; at least 1.

@@ -8,6 +8,7 @@ use crate::octree::{LazyOctree, LeafLayout};
 use crate::render::path_sizes::Sizes;
 use crate::render::paths;
 use crate::render::settings::WaitingRays;
+use crate::render::shadows::OpenClaim;
 use crate::render::stage::{Loop, Stage};
 use crate::render::tile_samples::TileSamples;
 use crate::trace::{Answers, AnyRequest, ClosestRequest, PoolOptions, RayPool};
@@ -84,11 +85,11 @@ impl WaitingPlan {
         if stage.settings.keep_costs || stage.are_moving {
             return None;
         }
-        let go_on = stage.reflection || stage.transmission || stage.interreflection;
         match stage.settings.waiting {
             WaitingRays::Never => None,
             WaitingRays::Count(rays) => Some(WaitingPlan::new(stage, rays, threads)),
-            WaitingRays::Auto if !go_on => None,
+            // Rays of mirrors and glass mostly follow each other through the same blocks (docs/results/suspension.md).
+            WaitingRays::Auto if !stage.interreflection => None,
             WaitingRays::Auto => {
                 let slot = LazyOctree::slot_bytes(model, LeafLayout::Indexed).0;
                 let share = u64::from(model.block_id_count()).saturating_mul(slot) / WaitingPlan::AUTO_SHARE;
@@ -110,17 +111,22 @@ impl WaitingPlan {
         PoolOptions { suspended: self.rays, ignore: stage.transparent.clone() }
     }
 
+    /// Most claims that come of the hits of a batch.
+    pub fn claims_asked(&self) -> usize {
+        (self.batch * self.claims_of_hit as usize).min(self.claims as usize)
+    }
+
     /// What a thread takes beside its pool.
     pub fn bytes(&self, stage: &Stage) -> u64 {
         let with_walks = has_walks(stage);
-        let queues = (self.batch + RayPool::RESUMED_MAX + self.claims as usize) * size_of::<ClosestRequest>()
-            + self.claims as usize * size_of::<AnyRequest>();
+        let claims_asked = self.claims_asked();
+        let queues = (self.batch + 2 * RayPool::RESUMED_MAX + claims_asked) * size_of::<ClosestRequest>()
+            + claims_asked * (size_of::<AnyRequest>() + size_of::<OpenClaim>());
         let bytes = paths::bytes_of_sizes(stage, &self.sizes)
             // Places, those that are ready and those that have ended.
             + self.samples as usize * (Samples::bytes_of_one(with_walks) + 2 * size_of::<u32>())
             + self.stacks as usize * Stacks::bytes_of_one(with_walks)
-            // Claims left open, and on their way.
-            + self.claims as usize * (Claims::BYTES_OF_ONE + size_of::<crate::render::shadows::OpenClaim>())
+            + self.claims as usize * Claims::BYTES_OF_ONE
             + self.batch * size_of::<u32>()
             + queues
             + Answers::bytes_needed(ASKED_MAX)

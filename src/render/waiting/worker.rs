@@ -61,10 +61,10 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
     pub fn new(watch: W, stage: &'s Stage, plan: &WaitingPlan, query: PoolQuery<'o>) -> Self {
         let mut paths = PathTracer::of_sizes(stage, query, &plan.sizes);
         if leaves_claims_open(stage) {
-            paths.shadows.leave_open(plan.claims as usize);
+            paths.shadows.leave_open(plan.claims_asked());
         }
         let with_walks = has_walks(stage);
-        let claims = plan.claims as usize;
+        let claims = plan.claims_asked();
         WaitingWorker {
             watch,
             stage,
@@ -79,7 +79,7 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
             alone: None,
             batch: Vec::with_capacity(plan.batch),
             heads: Vec::with_capacity(plan.batch + RayPool::RESUMED_MAX),
-            walks: Vec::with_capacity(claims),
+            walks: Vec::with_capacity(claims + RayPool::RESUMED_MAX),
             shadows: Vec::with_capacity(claims),
             answers: Answers::with_capacity(ASKED_MAX),
         }
