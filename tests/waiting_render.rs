@@ -35,7 +35,7 @@ fn wheels(per_edge: u32, tessellation: u32) -> Mesh {
 
 /// Toothed wheels with these changes to their materials.
 fn gears(change: impl Fn(&mut MaterialRecord)) -> Mesh {
-    let mut mesh = wheels(1, 9);
+    let mut mesh = wheels(2, 9);
     mesh.records.iter_mut().for_each(change);
     mesh
 }
@@ -123,7 +123,6 @@ fn assert_the_same(name: &str, bytes: &[u8], scene: &Scene, settings: &RenderSet
         assert!(image.film.is_complete() && image.report.outcome == Outcome::Complete);
         assert!(image.film.pixels() == reference.film.pixels(), "{name}, {way:?}");
         assert!(image.film.statistics() == reference.film.statistics(), "{name}, {way:?}");
-        assert_eq!(image.report.effects.shadow_rays, reference.report.effects.shadow_rays, "{name}");
         if settings.adaptive.is_none() {
             // Adaptive tiles look around themselves, so tiles of other sizes take other samples.
             assert_eq!(image.report.effects, reference.report.effects, "{name}, {way:?}");
@@ -138,7 +137,7 @@ fn assert_the_same(name: &str, bytes: &[u8], scene: &Scene, settings: &RenderSet
 }
 
 fn settings() -> RenderSettings {
-    RenderSettings { keep_statistics: true, work_budget: 200, ..RenderSettings::new(40, 31) }
+    RenderSettings { keep_statistics: true, work_budget: 100, ..RenderSettings::new(24, 19) }
 }
 
 #[test]
@@ -172,7 +171,7 @@ fn mirrors_glass_and_shadows_are_the_same() {
         let settings = RenderSettings { contribution_bound, ..settings };
         let image = assert_the_same("veils", &veils, &scene, &settings);
         let lost = image.film.statistics().unwrap().iter().any(|pixel| pixel.lost > 0.0);
-        assert_eq!(lost, contribution_bound > 0.0);
+        assert!(lost);
     }
     // Nothing goes on from a hit.
     let matt = gears(|record| {
@@ -246,43 +245,46 @@ fn fewer_blocks_are_loaded() {
     }
 }
 
-/// Wheels in more blocks, so that places for rays are little beside them.
-fn many_blocks() -> Vec<u8> {
-    compiled(&wheels(2, 12))
-}
-
 #[test]
 fn left_to_itself_a_render_waits_where_that_helps() {
-    let bytes = many_blocks();
-    let scene = with_lamps(view());
-    let settings = RenderSettings::new(48, 48);
+    // So many blocks that places for rays are little beside them.
+    let shape = Gears::new(4).unwrap();
+    let mesh = Mesh { records: wheels(2, 1).records, ..Mesh::of(&shape) };
+    let bytes = compile(&mesh, &CompileOptions::default(), Bytes::mib(512)).1;
+    let scene = with_lamps(view()).with_interreflection();
+    let settings = RenderSettings { contribution_bound: 0.1, ..RenderSettings::new(20, 20) };
+    let render = |scene: &Scene, settings: &RenderSettings, way: Way| {
+        let budget = MemoryBudget::new(Bytes::mib(512));
+        render_in(&budget, source(&bytes), scene, settings, way, &mut |_| Control::Continue).unwrap()
+    };
     let way = |slots| Way { slots, threads: 1, waiting: WaitingRays::Auto, loaders: 0 };
-    let waits = |settings: &RenderSettings, way| render(&bytes, &scene, settings, way).report.waiting;
-    let few = waits(&settings, way(Some(10))).expect("few slots and mirrors");
-    assert!(few.rays >= 1024);
+    let waits = |settings: &RenderSettings, way| render(&scene, settings, way).report.waiting;
+    let reference = render(&scene, &settings, IN_MEMORY);
+    let few = render(&scene, &settings, way(Some(60)));
+    assert!(few.report.waiting.expect("few slots and rays that go anywhere").rays >= 1024);
+    assert!(few.film.pixels() == reference.film.pixels());
     assert_eq!(waits(&settings, way(None)), None, "a slot for every block");
-    let off =
-        EffectSet::EMPTY.with(outcrop::scene::Effect::Reflection).with(outcrop::scene::Effect::Transmission);
-    let matt = RenderSettings { switched_off: off, ..settings };
-    assert_eq!(waits(&matt, way(Some(10))), None, "no ray goes on from a hit");
+    assert_eq!(waits(&settings, way(Some(2))), None, "places would be more than the cache");
+    let mirrors = render(&with_lamps(view()), &settings, way(Some(60)));
+    assert!(mirrors.report.effects.reflection_rays > 0);
+    assert_eq!(mirrors.report.waiting, None, "rays that follow each other");
     let costs = RenderSettings { keep_costs: true, ..settings };
-    assert_eq!(waits(&costs, way(Some(10))), None, "costs of each pixel");
-    let counted = Way { waiting: WaitingRays::Count(5000), ..way(Some(10)) };
+    assert_eq!(waits(&costs, way(Some(60))), None, "costs of each pixel");
+    let counted = Way { waiting: WaitingRays::Count(5000), ..way(Some(60)) };
     assert_eq!(waits(&costs, counted), None, "costs of each pixel");
-    assert_eq!(waits(&matt, counted).map(|waiting| waiting.rays), Some(5000));
+    assert_eq!(waits(&settings, counted).map(|waiting| waiting.rays), Some(5000));
 
     // Without room for any, none waits, and the picture is the same.
-    let reference = render(&bytes, &scene, &settings, IN_MEMORY);
     let source = source(&bytes);
     let plain = RenderSettings { waiting: WaitingRays::Never, ..settings };
-    let budget = MemoryBudget::new(Bytes::mib(16));
-    let options = OctreeOptions { slots_max: Some(10), ..OctreeOptions::default() };
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let options = OctreeOptions { slots_max: Some(60), ..OctreeOptions::default() };
     let octree = LazyOctree::open(Arc::clone(&source), &budget, options).unwrap();
     let tight = |waiting| {
         let settings = RenderSettings { waiting, ..settings };
         let needed = Renderer::bytes_needed(&scene, source.model(), &plain, &Threads::One).unwrap();
-        // Besides the picture, half a mebibyte for the tracer.
-        let left = budget.available().0 - needed.0 - (512 << 10);
+        // Besides the picture, a mebibyte for the tracer.
+        let left = budget.available().0 - needed.0 - (1 << 20);
         let _rest = budget.reserve(Bytes(left), "others").unwrap();
         let renderer = Renderer::new(&octree, &scene, &settings, &budget).unwrap();
         renderer.render(&Threads::One, &mut |_| Control::Continue)
@@ -327,7 +329,7 @@ fn a_cancelled_render_keeps_what_is_finished() {
                 finished += u32::from(is_finished);
             }
         }
-        assert!((3 * 7 * 8..40 * 31).contains(&finished), "{finished}");
+        assert!((3 * 3 * 8..24 * 19).contains(&finished), "{finished}");
         drop(image);
         assert_eq!(budget.used(), Bytes(0), "all is given back");
     }
