@@ -455,13 +455,16 @@ pub(super) fn picture<Q: RayQuery>(
     })
 }
 
+/// What makes the film, tile by tile in the order of these cells.
+type Draw<'d> = dyn FnMut(&mut Film, &[u32]) -> Result<Totals, RenderError> + 'd;
+
 /// Reserves `scratch`, and has `draw` make the film, tile by tile in the order that it is given. `memory`: what is reported as taken.
 fn picture_by(
     stage: &Stage,
     budget: &MemoryBudget,
     scratch: Bytes,
     memory: Bytes,
-    draw: &mut dyn FnMut(&mut Film, &[u32]) -> Result<Totals, RenderError>,
+    draw: &mut Draw<'_>,
 ) -> Result<Picture, RenderError> {
     let start = Instant::now();
     let _scratch = budget.reserve(scratch, "the renderer's ray trees and tiles")?;

@@ -140,8 +140,8 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
         let plan = &self.plan;
         let of_hit = plan.claims_of_hit as usize;
         let mut room = count.min(plan.batch);
-        if of_hit > 0 {
-            room = room.min(self.claims.room() as usize / of_hit);
+        if let Some(of_claims) = (self.claims.room() as usize).checked_div(of_hit) {
+            room = room.min(of_claims);
         }
         if plan.stacks > 0 {
             room = room.min((self.stacks.room().saturating_sub(plan.stacks_kept) / 2) as usize);
