@@ -153,8 +153,9 @@ fn pictures_beyond_the_budget_render_inside_it_as_without_a_limit() {
         assert_eq!(image.report.effects, reference.report.effects);
     }
     // Nor do rays that wait for blocks.
-    for (budget, threads) in [(Bytes::mib(8), Threads::One), (Bytes::mib(256), Threads::Count(2))] {
-        let waiting = RenderSettings { waiting: WaitingRays::Count(500), ..settings };
+    for (budget, threads) in [(Bytes::mib(24), Threads::One), (Bytes::mib(256), Threads::Count(2))] {
+        let waiting =
+            RenderSettings { waiting: WaitingRays::Count(500), detail_bytes: 256 << 10, ..settings };
         let (image, _) = render(&source, folder, budget, &waiting, &threads);
         assert!(image.film.pixels() == reference.film.pixels());
         assert_eq!(image.report.effects, reference.report.effects);
