@@ -9,7 +9,7 @@ use outcrop::cache::Policy;
 use outcrop::compile::PrecisionChoice;
 use outcrop::octree::{LeafLayout, Tier, TreeQuality};
 use outcrop::procedural::Gears;
-use outcrop::render::{ImageFormat, RenderSettings};
+use outcrop::render::{ImageFormat, RenderSettings, WaitingRays};
 use outcrop::scene_file::SceneFile;
 use outcrop::simd::SimdLevel;
 use outcrop::units::Bytes;
@@ -48,6 +48,9 @@ resources
     --threads N             all of the machine's if not given
     --source KIND           disk (reads that leave no page cache), cached, mmap or memory (disk)
     --slots N               at most N cache slots
+    --waiting N             at most N rays wait for blocks that are not in the cache while others are traced; auto or never (auto:
+                            where there are fewer slots than blocks, and interreflection)
+    --loaders N             threads beside the others that load blocks for rays that wait (0)
     --keep-free BYTES       let the cache follow the system's free memory and leave so much to others
     --policy KIND           which block makes room: lru, clock or s3-fifo (lru)
     --leaves KIND           expanded or indexed; by the budget if not given
@@ -105,6 +108,8 @@ pub struct Options {
     pub threads: u32,
     pub source: SourceKind,
     pub slots_max: Option<u32>,
+    pub waiting: Option<WaitingRays>,
+    pub loaders: u32,
     pub policy: Policy,
     pub keep_free: Option<Bytes>,
     pub leaf_layout: LeafLayout,
@@ -174,6 +179,16 @@ impl Options {
                     options.source = arguments.choice(&kinds)?;
                 }
                 "--slots" => options.slots_max = Some(arguments.value()?),
+                "--waiting" => {
+                    options.waiting = Some(match arguments.text()?.as_str() {
+                        "auto" => WaitingRays::Auto,
+                        "never" => WaitingRays::Never,
+                        count => WaitingRays::Count(count.parse().map_err(|_| {
+                            format!("--waiting: `{count}` is not auto, never or a number of rays")
+                        })?),
+                    });
+                }
+                "--loaders" => options.loaders = arguments.value()?,
                 "--keep-free" => options.keep_free = Some(arguments.value()?),
                 "--policy" => {
                     options.policy = arguments.choice(&Policy::ALL.map(|kind| (kind.name(), kind)))?
@@ -249,6 +264,8 @@ impl Options {
         let bound = given.contribution_bound;
         self.settings.contribution_bound = bound.unwrap_or(self.settings.contribution_bound);
         self.memory = given.memory.unwrap_or(self.memory);
+        self.settings.waiting = self.waiting.unwrap_or(self.settings.waiting);
+        self.settings.loader_threads = self.loaders;
         if self.compile_only {
             self.compiled = given.output.or(self.compiled.take());
             return Ok(());
@@ -337,6 +354,8 @@ impl Default for Options {
             threads: thread::available_parallelism().map_or(1, |count| count.get() as u32),
             source: SourceKind::Disk,
             slots_max: None,
+            waiting: None,
+            loaders: 0,
             policy: Policy::Lru,
             keep_free: None,
             leaf_layout: LeafLayout::Auto,

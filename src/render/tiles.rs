@@ -6,7 +6,7 @@
 use crate::units::Bytes;
 
 /// A rectangle of pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Area {
     pub x: u32,
     pub y: u32,
