@@ -361,14 +361,16 @@ fn senseless_copies_say_where() {
         d.pointer_mut(attributes).unwrap()["ROTATION"] = scale;
     });
     assert!(element.ends_with("ROTATION") && reason.contains("four"), "{element}: {reason}");
-    // More than there are bytes for.
-    let (_, reason) = refused(&|d| {
-        for attribute in ["TRANSLATION", "ROTATION", "SCALE"] {
-            let accessor = d.pointer(attributes).unwrap()[attribute].as_u64().unwrap() as usize;
-            d["accessors"][accessor]["count"] = json!(u32::MAX);
-        }
-    });
-    assert!(reason.contains("past the end"), "{reason}");
+    // More than there are bytes for, and more than are read.
+    for (count, text) in [(100_000, "past the end"), (u32::MAX, "more than 1048576")] {
+        let (_, reason) = refused(&|d| {
+            for attribute in ["TRANSLATION", "ROTATION", "SCALE"] {
+                let accessor = d.pointer(attributes).unwrap()[attribute].as_u64().unwrap() as usize;
+                d["accessors"][accessor]["count"] = json!(count);
+            }
+        });
+        assert!(reason.contains(text), "{reason}");
+    }
 }
 
 /// Any other number in the document, or a shorter buffer: an error, or a mesh whose triangles name its vertices.

@@ -6,6 +6,7 @@ use gltf::Node;
 use super::accessor::Elements;
 use super::bytes::Bytes;
 use super::document::Opened;
+use super::placement::PLACED_MAX;
 use crate::error::ImportError;
 
 /// The extension's name.
@@ -31,6 +32,11 @@ pub(super) fn copies(
         let copies = accessor.count() as u64;
         if *copies_promised.get_or_insert(copies) != copies {
             return Err(opened.error(name(), "its accessors are not of one length"));
+        }
+        // Before they are read and held.
+        if copies > PLACED_MAX as u64 {
+            let reason = format!("it places {copies} copies, more than {PLACED_MAX}; split the file");
+            return Err(opened.error(name(), reason));
         }
         match attribute.as_str() {
             "TRANSLATION" => read(opened, &accessor, name(), bytes, &mut shifts)?,

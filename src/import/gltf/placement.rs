@@ -121,7 +121,7 @@ pub(crate) fn visit<'d>(
 }
 
 /// Most primitives that a scene may place: some 250 MB of what is known of them.
-const PLACED_MAX: usize = 1 << 20;
+pub(super) const PLACED_MAX: usize = 1 << 20;
 
 /// The triangles of a part of the scene, in the order of its nodes.
 pub(super) fn placements<'d>(
