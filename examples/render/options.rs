@@ -7,6 +7,7 @@ use std::thread;
 use outcrop::block::Codec;
 use outcrop::cache::Policy;
 use outcrop::compile::PrecisionChoice;
+use outcrop::import::GltfPart;
 use outcrop::octree::{LeafLayout, Tier, TreeQuality};
 use outcrop::procedural::Gears;
 use outcrop::render::{ImageFormat, RenderSettings, WaitingRays};
@@ -61,6 +62,8 @@ compiled file
     --compile-only          stop after compiling; -o then names the compiled file
     --compiled FILE         keep the compiled file there instead of beside the model
     --recompile             compile even if the compiled file is up to date
+    --copies                write meshes that a glTF file places more than once out in the compiled file, instead of sharing one of each;
+                            done anyway where sharing saves little, and with --compile-only, --compiled, --lazy, --record-accesses and --tier
     --lazy                  compile only what rays reach, and keep it in FILE.outcrop.working for the next time; done anyway
                             for a picture of a model that is not compiled, unless another option needs or asks for a compiled file
     --block-bytes BYTES     decoded size of a block, 4KiB to 256KiB (64KiB)
@@ -120,6 +123,10 @@ pub struct Options {
     pub compiled: Option<PathBuf>,
     pub recompile: bool,
     pub lazy: bool,
+    /// Whether meshes of a glTF file are not shared.
+    pub copies: bool,
+    /// Which part of a glTF file `model` stands for.
+    pub part: GltfPart,
     pub block_bytes: Option<u32>,
     pub codec: Option<Codec>,
     pub precision: Option<PrecisionChoice>,
@@ -146,8 +153,24 @@ impl Options {
 
     /// Whether a model that is not compiled shall be compiled as rays reach it: if only its picture is wanted.
     pub fn is_lazy(&self) -> bool {
-        let wants_file = self.compile_only || self.asks_to_compile() || self.record_accesses.is_some();
+        let wants_file = self.compile_only
+            || self.asks_to_compile()
+            || self.record_accesses.is_some()
+            || self.part != GltfPart::Scene;
         self.lazy || (!wants_file && self.source == SourceKind::Disk)
+    }
+
+    /// The glTF file, if meshes that it places more than once may be shared.
+    pub fn shareable(&self) -> Option<&Path> {
+        let is_for_one_model = self.copies
+            || self.scene.is_some()
+            || self.compile_only
+            || self.compiled.is_some()
+            || self.lazy
+            || self.record_accesses.is_some()
+            // Hits of instances are always certified.
+            || self.tier != Tier::Certified;
+        self.model.as_deref().filter(|path| !is_for_one_model && is_gltf(path))
     }
 
     pub fn parse(mut arguments: Arguments) -> Result<Command, Box<dyn Error>> {
@@ -209,6 +232,7 @@ impl Options {
                 "--compile-only" => options.compile_only = true,
                 "--compiled" => options.compiled = Some(arguments.path()?),
                 "--recompile" => options.recompile = true,
+                "--copies" => options.copies = true,
                 "--lazy" => options.lazy = true,
                 "--block-bytes" => {
                     let bytes: Bytes = arguments.value()?;
@@ -366,6 +390,8 @@ impl Default for Options {
             compiled: None,
             recompile: false,
             lazy: false,
+            copies: false,
+            part: GltfPart::Scene,
             block_bytes: None,
             codec: None,
             precision: None,
@@ -374,6 +400,11 @@ impl Default for Options {
             memory_log: None,
         }
     }
+}
+
+/// Whether a file is glTF, by its name.
+pub fn is_gltf(path: &Path) -> bool {
+    path.extension().is_some_and(|kind| kind == "gltf" || kind == "glb")
 }
 
 /// A position, and an intensity if there is a fourth number.

@@ -19,7 +19,7 @@ use super::working_file::WorkingFile;
 use crate::block::checksum;
 use crate::budget::{Allowance, MemoryBudget, Reservation};
 use crate::error::{CompileError, ModelError};
-use crate::import::source_record;
+use crate::import::{ImportOptions, source_record};
 use crate::model::{
     BlockEntry, CellEntry, CellRecord, Model, SourceRecord, WORKING_HEADER_BYTES, WorkingHeader,
     WorkingOptions,
@@ -184,9 +184,8 @@ impl LazyModel {
             compiler.leave_attributes_out();
         };
         let ending = KeepCells::of(working, options);
-        read_file(input, output, source, &options.compile, budget, progress, &mut prepare, |compiler| {
-            compiler.end(ending)
-        })
+        let (import, end) = (ImportOptions::default(), |compiler: Compiler<'_>| compiler.end(ending));
+        read_file(input, &import, output, source, &options.compile, budget, progress, &mut prepare, end)
     }
 
     /// The same for geometry that is no file: `emit` sends it to the compiler, unless there is a working file. `source` is to
