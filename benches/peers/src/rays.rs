@@ -114,15 +114,18 @@ pub fn lift_surface(ray: &Ray, surface: Surface) -> Option<Lifted> {
     Some(Lifted { origin: along(ray.at(surface.t), 1e-4, facing), normal: facing })
 }
 
-/// From every hit to each light, unless the surface faces away.
+/// From every hit to each light, unless the surface faces away; in the order in which renderers ask: tile by tile, light by light.
 pub fn shadow(mesh: &Mesh, primary: &Rays, found: &[Found]) -> Rays {
     let mut rays = Rays::default();
-    for (ray, found) in primary.double.iter().zip(found) {
-        let Some(lifted) = lift(mesh, ray, *found) else { continue };
+    for range in primary.calls() {
+        let hits = primary.double[range.clone()].iter().zip(&found[range]);
+        let lifted: Vec<Lifted> = hits.filter_map(|(ray, found)| lift(mesh, ray, *found)).collect();
         for light in Gears::LAMPS {
-            let direction = minus(light, lifted.origin);
-            if dot(direction, lifted.normal) > 0.0 {
-                rays.push(lifted.origin, direction, 1.0);
+            for lifted in &lifted {
+                let direction = minus(light, lifted.origin);
+                if dot(direction, lifted.normal) > 0.0 {
+                    rays.push(lifted.origin, direction, 1.0);
+                }
             }
         }
     }
