@@ -1,5 +1,7 @@
 //! Pictures that materials name, as the compiled file holds them: in a table of their own, so that a file without any is as before.
 
+use std::ops::Range;
+
 use super::MaterialRecord;
 use super::directory::Fields;
 use crate::error::ModelError;
@@ -7,7 +9,8 @@ use crate::error::ModelError;
 /// A picture on a surface, in the terms of MTL.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageMap {
-    /// The image file; a relative path starts from the model's folder.
+    /// The image file; a relative path starts from the model's folder. An image that is a part of a file has its place behind the file's name:
+    /// see [`ImageMap::inside`].
     pub path: String,
     /// Texture coordinates are multiplied by this (`-s`),
     pub scale: [f32; 2],
@@ -24,7 +27,27 @@ impl ImageMap {
     pub fn new(path: impl Into<String>) -> ImageMap {
         ImageMap { path: path.into(), scale: [1.0; 2], offset: [0.0; 2], strength: 1.0, clamp: false }
     }
+
+    /// [`ImageMap::new`] for an image that is a part of a file, as in `.glb` files: the bytes `place` of it. In
+    /// [`ImageMap::path`] that is `FILE#bytes=START+LENGTH`.
+    pub fn inside(file: &str, place: Range<u64>) -> ImageMap {
+        let length = place.end.saturating_sub(place.start);
+        ImageMap::new(format!("{file}{PLACE}{}+{length}", place.start))
+    }
+
+    /// The file of a path, and where in it the image is, if it is only a part.
+    pub fn file_of(path: &str) -> (&str, Option<Range<u64>>) {
+        let place = path.rsplit_once(PLACE).and_then(|(file, place)| {
+            let (start, length) = place.split_once('+')?;
+            let start: u64 = start.parse().ok()?;
+            Some((file, start..start.checked_add(length.parse().ok()?)?))
+        });
+        place.map_or((path, None), |(file, place)| (file, Some(place)))
+    }
 }
+
+/// Between a file and the place of an image in it.
+const PLACE: &str = "#bytes=";
 
 /// The pictures of a material.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -169,6 +192,28 @@ mod tests {
     fn read(bytes: &[u8]) -> Result<Vec<MaterialRecord>, ModelError> {
         let mut found = vec![MaterialRecord::default(); 3];
         parse_table(bytes, 1000, &mut found).map(|()| found)
+    }
+
+    #[test]
+    fn places_in_files_are_part_of_paths() {
+        let map = ImageMap::inside("a b.glb", 12..40);
+        assert_eq!(map.path, "a b.glb#bytes=12+28");
+        assert_eq!(ImageMap::file_of(&map.path), ("a b.glb", Some(12..40)));
+        let inner = ImageMap::inside(&map.path, 0..u64::MAX);
+        assert_eq!(ImageMap::file_of(&inner.path), (&*map.path, Some(0..u64::MAX)));
+        for path in [
+            "a.png",
+            "",
+            "#bytes=",
+            "a#bytes=1",
+            "a#bytes=1+",
+            "a#bytes=+1",
+            "a#bytes=-1+2",
+            "a#bytes=1+x",
+            "a#bytes=1+18446744073709551615",
+        ] {
+            assert_eq!(ImageMap::file_of(path), (path, None));
+        }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Seek, SeekFrom, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -12,7 +13,7 @@ use super::pyramid::{Pyramid, tile_checksum};
 use crate::block::checksum;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::TextureError;
-use crate::model::MaterialRecord;
+use crate::model::{ImageMap, MaterialRecord};
 use crate::units::Bytes;
 
 /// Longest path of an image.
@@ -70,11 +71,22 @@ impl Textures {
     }
 }
 
+/// The file of an image, and where in it the image is, if it is only a part.
+fn place_of(key: &ImageKey, folder: &Path) -> (PathBuf, Option<Range<u64>>) {
+    match key.path.to_str() {
+        Some(path) => {
+            let (file, place) = ImageMap::file_of(path);
+            (folder.join(file), place)
+        }
+        None => (folder.join(&key.path), None),
+    }
+}
+
 /// A number that changes when an image does.
 fn source_key(keys: &[ImageKey], folder: &Path) -> Result<u64, TextureError> {
     let mut bytes = Vec::new();
     for key in keys {
-        let path = folder.join(&key.path);
+        let (path, _) = place_of(key, folder);
         let metadata = fs::metadata(&path).map_err(|error| TextureError::Io { path: path.clone(), error })?;
         if key.path.as_os_str().len() > PATH_BYTES_MAX {
             return Err(TextureError::Image { path, reason: "has too long a path".to_owned() });
@@ -154,7 +166,8 @@ fn write(
             budget,
             memory: Vec::new(),
         };
-        decode(&folder.join(&key.path), budget, &mut rows)?;
+        let (path, place) = place_of(key, folder);
+        decode(&path, place, budget, &mut rows)?;
         let has_alpha = rows.pyramid.as_ref().is_some_and(|pyramid| pyramid.has_alpha);
         let [width, height] = rows.size;
         images.push(Image { key: key.clone(), width, height, first_tile, has_alpha });

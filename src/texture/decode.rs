@@ -1,9 +1,11 @@
 //! Image files to rows of RGBA bytes. The files are untrusted (I5): sizes are checked and reserved before anything is allocated by them.
 
 use std::fs::File;
+use std::ops::Range;
 use std::path::Path;
 
 use super::layout::SIDE_MAX;
+use super::part::FilePart;
 use crate::budget::MemoryBudget;
 use crate::error::TextureError;
 
@@ -19,11 +21,24 @@ fn refused(path: &Path, reason: impl Into<String>) -> TextureError {
     TextureError::Image { path: path.to_path_buf(), reason: reason.into() }
 }
 
-/// Reads an image file; its kind is told by its first bytes.
-pub(super) fn decode(path: &Path, budget: &MemoryBudget, rows: &mut dyn Rows) -> Result<(), TextureError> {
+/// Reads an image file, or the part of a file that is one; its kind is told by its first bytes.
+pub(super) fn decode(
+    path: &Path,
+    place: Option<Range<u64>>,
+    budget: &MemoryBudget,
+    rows: &mut dyn Rows,
+) -> Result<(), TextureError> {
     use std::io::{Read, Seek};
     let io = |error| TextureError::Io { path: path.to_path_buf(), error };
-    let mut file = File::open(path).map_err(io)?;
+    let file = File::open(path).map_err(io)?;
+    let file_bytes = file.metadata().map_err(io)?.len();
+    let place = place.unwrap_or(0..file_bytes);
+    if place.end > file_bytes {
+        let reason = format!("ends at byte {file_bytes}; an image should be at bytes {place:?}");
+        return Err(refused(path, reason));
+    }
+    let mut file = FilePart::new(file, place);
+    file.rewind().map_err(io)?;
     let mut start = [0; 4];
     let count = file.read(&mut start).map_err(io)?;
     file.rewind().map_err(io)?;
@@ -43,7 +58,7 @@ fn check_size(path: &Path, width: u32, height: u32) -> Result<(), TextureError> 
 }
 
 #[cfg(feature = "png")]
-fn png(path: &Path, file: File, budget: &MemoryBudget, rows: &mut dyn Rows) -> Result<(), TextureError> {
+fn png(path: &Path, file: FilePart, budget: &MemoryBudget, rows: &mut dyn Rows) -> Result<(), TextureError> {
     use crate::units::Bytes;
     let failed = |error: png::DecodingError| refused(path, format!("cannot be decoded: {error}"));
     let mut decoder = png::Decoder::new(std::io::BufReader::new(file));
@@ -88,12 +103,12 @@ fn png(path: &Path, file: File, budget: &MemoryBudget, rows: &mut dyn Rows) -> R
 }
 
 #[cfg(not(feature = "png"))]
-fn png(path: &Path, _: File, _: &MemoryBudget, _: &mut dyn Rows) -> Result<(), TextureError> {
+fn png(path: &Path, _: FilePart, _: &MemoryBudget, _: &mut dyn Rows) -> Result<(), TextureError> {
     Err(refused(path, "is a PNG image; build with the feature `png`"))
 }
 
 #[cfg(feature = "jpeg")]
-fn jpeg(path: &Path, file: File, budget: &MemoryBudget, rows: &mut dyn Rows) -> Result<(), TextureError> {
+fn jpeg(path: &Path, file: FilePart, budget: &MemoryBudget, rows: &mut dyn Rows) -> Result<(), TextureError> {
     use crate::units::Bytes;
     use zune_jpeg::JpegDecoder;
     use zune_jpeg::zune_core::colorspace::ColorSpace;
@@ -129,6 +144,6 @@ fn jpeg(path: &Path, file: File, budget: &MemoryBudget, rows: &mut dyn Rows) -> 
 }
 
 #[cfg(not(feature = "jpeg"))]
-fn jpeg(path: &Path, _: File, _: &MemoryBudget, _: &mut dyn Rows) -> Result<(), TextureError> {
+fn jpeg(path: &Path, _: FilePart, _: &MemoryBudget, _: &mut dyn Rows) -> Result<(), TextureError> {
     Err(refused(path, "is a JPEG image; build with the feature `jpeg`, or convert it to PNG"))
 }

@@ -15,6 +15,7 @@ mod convert;
 mod decode;
 mod file;
 mod layout;
+mod part;
 #[cfg_attr(not(any(feature = "png", feature = "jpeg")), allow(dead_code, reason = "no decoder calls it"))]
 mod pyramid;
 mod srgb;

@@ -114,6 +114,33 @@ fn lookups_wrap_or_stop_at_the_border_and_mix_between_sizes() {
 }
 
 #[test]
+fn images_inside_files_are_those_of_files() {
+    let place = tempfile::tempdir().unwrap();
+    let (folder, tiles) = (place.path(), place.path().join("tiles"));
+    let picture = image(70, 9, pattern);
+    let alone = folder.join("a.png");
+    write_png(&alone, &picture, png::ColorType::Rgba, picture.texels.as_flattened());
+    let png = fs::read(&alone).unwrap();
+    let whole = [&[1, 2, 3], &*png, &[4; 20]].concat();
+    fs::write(folder.join("whole.glb"), &whole).unwrap();
+    let budget = MemoryBudget::new(Bytes::mib(2));
+    let open = |start: u64, length: u64| {
+        let path = crate::model::ImageMap::inside("whole.glb", start..start + length).path;
+        Textures::open(&[named(&path)], folder, &tiles, &budget).map(|textures| (textures, path))
+    };
+    let length = png.len() as u64;
+    let (textures, path) = open(3, length).unwrap();
+    assert_eq!(*textures, Textures::in_memory([(key(&path, Encoding::Srgb), picture)]).unwrap());
+    // Not a picture, too short, beyond the end, nothing, nowhere.
+    let far = u64::MAX - length;
+    for (start, length) in [(2, length), (3, length / 2), (3, length + 21), (3, 0), (far, length)] {
+        let error = open(start, length).unwrap_err();
+        assert!(matches!(error, TextureError::Image { .. }), "{start} {length}: {error}");
+        assert!(error.to_string().contains("whole.glb"), "{error}");
+    }
+}
+
+#[test]
 fn image_files_are_converted_once_and_again_when_they_change() {
     let place = tempfile::tempdir().unwrap();
     let (folder, tiles) = (place.path(), place.path().join("model.tiles"));

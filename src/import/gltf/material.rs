@@ -1,5 +1,6 @@
 //! Metallic-roughness materials in the terms of MTL, in which the compiled file holds them.
 
+use gltf::buffer::{self, View};
 use gltf::image::Source;
 use gltf::material::AlphaMode;
 use gltf::texture::WrappingMode;
@@ -94,12 +95,12 @@ fn image_map(
         warn("a texture with texture coordinates of another set than the first is left out");
         return None;
     }
-    let Source::Uri { uri, .. } = texture.source().source() else {
-        warn("textures inside the file are left out; keep them in files of their own");
-        return None;
+    let whole = match texture.source().source() {
+        Source::Uri { uri, .. } => opened.relative(uri).map(ImageMap::new),
+        Source::View { view, .. } => image_inside(opened, &view),
     };
-    let Some(path) = opened.relative(uri) else {
-        warn("a texture that is no file beside this one is left out");
+    let Some(whole) = whole else {
+        warn("a texture that is neither a file beside this one nor a part of one is left out");
         return None;
     };
     let sampler = texture.sampler();
@@ -107,5 +108,18 @@ fn image_map(
     if clamps[0] != clamps[1] || sampler.wrap_s() == WrappingMode::MirroredRepeat {
         warn("a texture that does not go on in both directions alike, or that is mirrored, is repeated");
     }
-    Some(ImageMap { clamp: clamps == [true; 2], ..ImageMap::new(path) })
+    Some(ImageMap { clamp: clamps == [true; 2], ..whole })
+}
+
+/// An image in a buffer that is a part of this file, or a file beside it. Whether it is one, and whether it is all there, is found out when
+/// it is read.
+fn image_inside(opened: &Opened, view: &View<'_>) -> Option<ImageMap> {
+    let (file, begin) = match view.buffer().source() {
+        buffer::Source::Bin => {
+            (opened.path().file_name()?.to_str()?.to_owned(), opened.chunk.as_ref()?.start)
+        }
+        buffer::Source::Uri(uri) => (opened.relative(uri)?, 0),
+    };
+    let start = begin.checked_add(view.offset() as u64)?;
+    Some(ImageMap::inside(&file, start..start.checked_add(view.length() as u64)?))
 }

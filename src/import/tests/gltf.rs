@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use super::Folder;
 use crate::error::ImportError;
 use crate::import::{ImportOptions, ImportReport, MeshBuffer, import_file};
+use crate::model::ImageMap;
 use crate::procedural::random::Random;
 
 type Outcome = Result<(MeshBuffer, ImportReport), ImportError>;
@@ -281,7 +282,7 @@ fn attributes_and_pictures_go_along() {
     // Placed twice, once with x turned over and half as wide.
     document["scenes"][0]["nodes"] = json!([0, 1]);
     document["nodes"] = json!([{ "mesh": 0 }, { "mesh": 0, "scale": [-0.5, 1, 1] }]);
-    document["images"] = json!([{ "uri": "a%20picture.png" }, { "bufferView": 0, "mimeType": "image/png" }]);
+    document["images"] = json!([{ "uri": "a%20picture.png" }, { "bufferView": 1, "mimeType": "image/png" }]);
     document["samplers"] = json!([{ "wrapS": 33071, "wrapT": 33071 }]);
     document["textures"] = json!([{ "source": 0, "sampler": 0 }, { "source": 1 }]);
     document["materials"] = json!([{
@@ -304,7 +305,18 @@ fn attributes_and_pictures_go_along() {
     let images = mesh.materials[0].images.as_ref().unwrap();
     let picture = images.diffuse.as_ref().unwrap();
     assert_eq!((picture.path.as_str(), picture.clamp), ("a picture.png", true));
-    assert!(images.normal.is_none() && images.specular.is_none(), "a picture inside the file is left out");
+    // A picture inside the file is named by its place there.
+    let (file, place) = ImageMap::file_of(&images.normal.as_ref().unwrap().path);
+    let place = place.unwrap();
+    assert_eq!(file, "x.glb");
+    assert_eq!(sample.binary()[place.start as usize..place.end as usize], sample.buffer[50..62]);
+    assert!(images.specular.is_none());
+    assert_eq!(report.warning_count, 0, "{:?}", report.warnings);
+    // In a buffer that is no file it has no place.
+    let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
+    let path = folder.write("x.gltf", sample.text());
+    let report = import_file(&path, &ImportOptions::default(), &mut mesh).unwrap();
+    assert!(mesh.materials[0].images.as_ref().unwrap().normal.is_none());
     assert_eq!(report.warning_count, 1, "{:?}", report.warnings);
 
     // A sink that has no use for them gets none, and the report says so.
