@@ -125,12 +125,12 @@ fn images_inside_files_are_those_of_files() {
     fs::write(folder.join("whole.glb"), &whole).unwrap();
     let budget = MemoryBudget::new(Bytes::mib(2));
     let open = |start: u64, length: u64| {
-        let path = crate::model::ImageMap::inside("whole.glb", start..start + length).path;
+        let path = ImageMap::inside("whole.glb", start..start + length).path;
         Textures::open(&[named(&path)], folder, &tiles, &budget).map(|textures| (textures, path))
     };
     let length = png.len() as u64;
     let (textures, path) = open(3, length).unwrap();
-    assert_eq!(*textures, Textures::in_memory([(key(&path, Encoding::Srgb), picture)]).unwrap());
+    assert_eq!(textures, Textures::in_memory([(key(&path, Encoding::Srgb), picture)]).unwrap());
     // Not a picture, too short, beyond the end, nothing, nowhere.
     let far = u64::MAX - length;
     for (start, length) in [(2, length), (3, length / 2), (3, length + 21), (3, 0), (far, length)] {
