@@ -266,7 +266,7 @@ pub enum CompileError {
     Budget(#[from] BudgetError),
     /// A coordinate is NaN or infinite.
     #[error(
-        "triangle {triangle} has a coordinate that is not finite; correct the model or choose to skip such triangles"
+        "triangle {triangle} has a coordinate that is not finite; correct the model, or skip and count such triangles with `CompileOptions::skip_not_finite`"
     )]
     NotFinite {
         /// Ordinal of the triangle in the source.

@@ -618,6 +618,7 @@ impl<'p> Compiler<'p> {
             degenerate: written.degenerate,
             duplicates: written.duplicates,
             skipped,
+            import: None,
             triangles_with_attributes: attributes.triangles,
             attribute_bytes: attributes.bytes,
             precision: decision.precision,
