@@ -9,7 +9,7 @@ use outcrop::compile::{CompileOptions, Control, Threads, compile_file};
 use outcrop::error::RenderError;
 use outcrop::model::Model;
 use outcrop::octree::{LazyOctree, OctreeOptions};
-use outcrop::render::{RenderSettings, RenderedImage, Renderer};
+use outcrop::render::{RenderSettings, RenderedImage, Renderer, WaitingRays};
 use outcrop::scene::{Camera, Effect, EffectSet, Light, Scene};
 use outcrop::source::DiskSource;
 use outcrop::texture::Textures;
@@ -151,6 +151,15 @@ fn pictures_beyond_the_budget_render_inside_it_as_without_a_limit() {
         assert!(detail_bytes < tiles / 4 && evictions[1] > 0, "{evictions:?}");
         assert!(image.film.pixels() == reference.film.pixels(), "{mib} MiB, {detail_bytes}");
         assert_eq!(image.report.effects, reference.report.effects);
+    }
+    // Nor do rays that wait for blocks.
+    for (budget, threads) in [(Bytes::mib(24), Threads::One), (Bytes::mib(256), Threads::Count(2))] {
+        let waiting =
+            RenderSettings { waiting: WaitingRays::Count(500), detail_bytes: 256 << 10, ..settings };
+        let (image, _) = render(&source, folder, budget, &waiting, &threads);
+        assert!(image.film.pixels() == reference.film.pixels());
+        assert_eq!(image.report.effects, reference.report.effects);
+        assert!(image.report.waiting.is_some());
     }
     // Nor does the cut into blocks show, nor a forced effect.
     let forced = RenderSettings { forced: EffectSet::ALL, ..settings };

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use outcrop::compile::{
     CompileOptions, CompileReport, Compiler, Control, LazyModel, LazyOptions, Phase, Progress, Threads,
-    compile_file, compile_shape,
+    compile_file_with, compile_shape,
 };
-use outcrop::import::source_record;
+use outcrop::import::{GltfPart, ImportOptions, source_record_of};
 use outcrop::model::SourceRecord;
 use outcrop::procedural::{Gears, Shape};
 use outcrop::source::DiskSource;
@@ -84,10 +84,11 @@ pub fn prepare(
         return Ok(Compiled { origin: Origin::File(model.clone()), story, report: None });
     }
 
-    let path = options.compiled.clone().unwrap_or_else(|| beside(model));
+    let path = options.compiled.clone().unwrap_or_else(|| beside_part(model, &options.part));
     let reason = match reason_to_compile(options, model, &path)? {
         None => {
-            let story = format!("{}, unchanged since it was compiled", model.display());
+            let part = of(&options.part);
+            let story = format!("{}{part}, unchanged since it was compiled", model.display());
             return Ok(Compiled { origin: Origin::File(path), story, report: None });
         }
         Some(reason) => reason,
@@ -98,27 +99,34 @@ pub fn prepare(
         // Only who asked for it by name gets a picture without what a lazy compile cannot hold.
         if lazy.report().details_left_out && !options.lazy {
             drop(lazy);
-            return whole(model, path, &compile_options, budget, &mut progress, reason);
+            return whole(options, model, path, budget, &mut progress, reason);
         }
         let story = format!("{}, {reason}, as rays reach it", model.display());
         return Ok(Compiled { origin: Origin::Lazy(Arc::new(lazy)), story, report: None });
     }
-    whole(model, path, &compile_options, budget, &mut progress, reason)
+    whole(options, model, path, budget, &mut progress, reason)
 }
 
 /// Compiles a model as a whole.
 fn whole(
+    options: &Options,
     model: &Path,
     path: PathBuf,
-    compile_options: &CompileOptions,
     budget: &MemoryBudget,
     progress: &mut dyn FnMut(Progress) -> Control,
     reason: &str,
 ) -> Result<Compiled, Box<dyn Error>> {
-    let report = compile_file(model, &path, compile_options, budget, progress)?;
+    let report = compile_file_with(
+        model,
+        &import_options(options),
+        &path,
+        &compile_options(options),
+        budget,
+        progress,
+    )?;
     // What an earlier run had compiled of it as rays reached it is of no more use; there may be none.
     let _ = std::fs::remove_file(LazyModel::working_path(&path));
-    let story = format!("{}, {reason}", model.display());
+    let story = format!("{}{}, {reason}", model.display(), of(&options.part));
     Ok(Compiled { origin: Origin::File(path), story, report: Some(report) })
 }
 
@@ -135,13 +143,37 @@ pub fn beside(model: &Path) -> PathBuf {
     PathBuf::from(name)
 }
 
+/// [`beside`] for a part of a model.
+fn beside_part(model: &Path, part: &GltfPart) -> PathBuf {
+    let mut name = model.as_os_str().to_os_string();
+    match part {
+        GltfPart::Scene => {}
+        GltfPart::Mesh(number) => name.push(format!(".mesh{number}")),
+        GltfPart::Without(_) => name.push(".rest"),
+    }
+    beside(Path::new(&name))
+}
+
+/// What is said of a part behind the model's name.
+fn of(part: &GltfPart) -> String {
+    match part {
+        GltfPart::Scene => String::new(),
+        GltfPart::Mesh(number) => format!(" (mesh {number})"),
+        GltfPart::Without(_) => " (what is not shared)".to_string(),
+    }
+}
+
+fn import_options(options: &Options) -> ImportOptions {
+    ImportOptions::default().with_gltf_part(options.part.clone())
+}
+
 /// Why the model has to be compiled, or `None` if the compiled file is there and up to date.
 fn reason_to_compile(
     options: &Options,
     model: &Path,
     compiled: &Path,
 ) -> Result<Option<&'static str>, Box<dyn Error>> {
-    let record = source_record(model)?;
+    let record = source_record_of(model, &import_options(options))?;
     if options.asks_to_compile() {
         return Ok(Some("compiled as asked"));
     }

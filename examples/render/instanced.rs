@@ -1,14 +1,16 @@
 //! Pictures of scenes of several models, or of models in several places.
 
 use std::error::Error;
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use outcrop::instance::{Instance, Instances};
+use outcrop::geom::Affine;
+use outcrop::import::GltfPart;
+use outcrop::instance::{GltfInstances, Instance, Instances};
 use outcrop::model::Model;
 use outcrop::octree::TreeQuality;
 use outcrop::render::{RenderedImage, Renderer, Threads};
 use outcrop::scene::Scene;
-use outcrop::scene_file::SceneFile;
 use outcrop::texture::Textures;
 use outcrop::{BlockSource, MemoryBudget};
 
@@ -18,19 +20,46 @@ use crate::compiled::{self, Compiled, Origin};
 use crate::options::Options;
 use crate::summary::Summary;
 
+/// What a scene of instances is made of.
+pub struct Parts {
+    /// A file for each model, and which part of it.
+    models: Vec<(PathBuf, GltfPart)>,
+    places: Vec<Instance>,
+    /// Where instances are when the shutter closes, if they move.
+    movements: Vec<(usize, Affine)>,
+}
+
+impl Parts {
+    /// Those of a scene file or of a glTF file; none if the scene is one model as it is.
+    pub fn of(options: &Options) -> Result<Option<Parts>, Box<dyn Error>> {
+        if let Some(file) = &options.scene {
+            return Ok(file.instances().map(|places| Parts {
+                models: file.models.iter().map(|model| (model.file.clone(), GltfPart::Scene)).collect(),
+                places,
+                movements: file.movements(),
+            }));
+        }
+        let Some(path) = options.shareable() else { return Ok(None) };
+        Ok(GltfInstances::read(path)?.map(|found| Parts {
+            models: found.parts.into_iter().map(|part| (path.to_path_buf(), part)).collect(),
+            places: found.instances,
+            movements: Vec::new(),
+        }))
+    }
+}
+
 /// Compiles what is not compiled, and makes the picture.
 pub fn picture(
     options: &Options,
-    file: &SceneFile,
-    places: Vec<Instance>,
+    parts: Parts,
     budget: &MemoryBudget,
     interrupt: &Interrupt,
     meter: &mut Meter,
     summary: &mut Summary,
 ) -> Result<(RenderedImage, Vec<Compiled>), Box<dyn Error>> {
     let (mut compiled, mut sources) = (Vec::new(), Vec::new());
-    for model in &file.models {
-        let options = Options { model: Some(model.file.clone()), ..options.clone() };
+    for (file, part) in &parts.models {
+        let options = Options { model: Some(file.clone()), part: part.clone(), ..options.clone() };
         let model = compiled::prepare(&options, budget, interrupt, meter)?;
         meter.finish();
         summary.compiled(&model);
@@ -42,18 +71,16 @@ pub fn picture(
     }
     let models: Vec<Arc<Model>> = sources.iter().map(|source| Arc::clone(source.model())).collect();
     let models: Vec<&Model> = models.iter().map(|model| &**model).collect();
-    let bounds = Instances::bounds_of(&models, &places)?;
-    let mut in_shape = file.clone();
-    in_shape.settings = options.settings;
-    let scene = with_textures(in_shape.scene(&bounds, budget)?, file, &models, budget)?;
+    let bounds = Instances::bounds_of(&models, &parts.places)?;
+    let scene = with_textures(crate::scene(options, &bounds, budget)?, &parts, &models, budget)?;
     let threads = Threads::Count(options.threads as usize);
     // The caches take what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed_for(&models, &scene, &options.settings, &threads)?;
     let set_aside = budget.reserve(picture_bytes, "the picture")?;
     let octree_options = crate::octree_options(options, TreeQuality::Best);
-    let mut instances = Instances::open(&sources, places, budget, &octree_options)?;
+    let mut instances = Instances::open(&sources, parts.places, budget, &octree_options)?;
     drop(set_aside);
-    instances.move_while_open(&file.movements())?;
+    instances.move_while_open(&parts.movements)?;
     summary.placed(&instances, picture_bytes);
     let renderer = Renderer::over_instances(&instances, &scene, &options.settings, budget)?;
     let image = renderer.render(&threads, &mut crate::progress_of(meter, interrupt))?;
@@ -63,21 +90,21 @@ pub fn picture(
 /// The scene with the pictures that the models' materials name. They are named from one folder.
 fn with_textures(
     scene: Scene,
-    file: &SceneFile,
+    parts: &Parts,
     models: &[&Model],
     budget: &MemoryBudget,
 ) -> Result<Scene, Box<dyn Error>> {
     let has_images = |model: &&Model| !Textures::named_by(&model.materials).is_empty();
-    let mut with_images = file.models.iter().zip(models).filter(|(_, model)| has_images(model));
-    let Some((first, _)) = with_images.next() else { return Ok(scene) };
-    if let Some((other, _)) = with_images.find(|(other, _)| other.file.parent() != first.file.parent()) {
+    let mut with_images = parts.models.iter().zip(models).filter(|(_, model)| has_images(model));
+    let Some(((first, _), _)) = with_images.next() else { return Ok(scene) };
+    if let Some(((other, _), _)) = with_images.find(|((other, _), _)| other.parent() != first.parent()) {
         return Err(format!(
             "{} and {}: models with images must lie in one folder; move one with its images",
-            first.file.display(),
-            other.file.display()
+            first.display(),
+            other.display()
         )
         .into());
     }
     let materials: Vec<_> = models.iter().flat_map(|model| model.materials.iter().cloned()).collect();
-    crate::with_textures(scene, &materials, &first.file, budget)
+    crate::with_textures(scene, &materials, first, budget)
 }

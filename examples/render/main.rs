@@ -10,7 +10,7 @@ mod summary;
 use std::error::Error;
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -24,7 +24,8 @@ use options::{Command, Options, SourceKind};
 use outcrop::access::{AccessTrace, MissRatioCurve};
 use outcrop::compile::Control;
 use outcrop::free_memory::FollowFreeMemory;
-use outcrop::model::{MaterialRecord, Model};
+use outcrop::geom::Aabb;
+use outcrop::model::MaterialRecord;
 use outcrop::octree::{LazyOctree, OctreeOptions, TreeQuality};
 use outcrop::render::{Outcome, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, GltfView, Light, Scene};
@@ -78,11 +79,8 @@ fn job(
     summary: &mut Summary,
 ) -> Result<ExitCode, Box<dyn Error>> {
     let mut meter = Meter::new();
-    if let Some(file) = &options.scene
-        && let Some(places) = file.instances()
-    {
-        let (image, models) =
-            instanced::picture(options, file, places, budget, interrupt, &mut meter, summary)?;
+    if let Some(parts) = instanced::Parts::of(options)? {
+        let (image, models) = instanced::picture(options, parts, budget, interrupt, &mut meter, summary)?;
         meter.finish();
         models.iter().try_for_each(|model| keep_lazy(model, summary))?;
         return finish(options, &image, summary);
@@ -153,7 +151,7 @@ fn render(
 ) -> Result<RenderedImage, Box<dyn Error>> {
     let settings = options.settings;
     let threads = Threads::Count(options.threads as usize);
-    let mut scene = scene(options, source.model(), budget)?;
+    let mut scene = scene(options, &source.model().bounds, budget)?;
     if let Some(model) = &options.model {
         scene = with_textures(scene, &source.model().materials, model, budget)?;
     }
@@ -222,32 +220,26 @@ fn create(path: &Path) -> Result<File, String> {
 
 /// The cameras and lights of the model file, if it is one that has them.
 fn file_view(options: &Options) -> Result<GltfView, Box<dyn Error>> {
-    let is_gltf = |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "gltf" || kind == "glb");
-    Ok(options
-        .model
-        .as_ref()
-        .filter(is_gltf)
-        .map(|path| GltfView::read(path))
-        .transpose()?
-        .unwrap_or_default())
+    let file = options.model.as_deref().filter(|path| options::is_gltf(path));
+    Ok(file.map(GltfView::read).transpose()?.unwrap_or_default())
 }
 
 /// The scene that the options describe; what they leave out is chosen to fit the model.
-fn scene(options: &Options, model: &Model, budget: &MemoryBudget) -> Result<Scene, Box<dyn Error>> {
+fn scene(options: &Options, bounds: &Aabb, budget: &MemoryBudget) -> Result<Scene, Box<dyn Error>> {
     if let Some(file) = &options.scene {
         // In the shape of the picture that is made.
         let mut file = file.clone();
         file.settings = options.settings;
-        return Ok(file.scene(&model.bounds, budget)?);
+        return Ok(file.scene(bounds, budget)?);
     }
     let aspect = f64::from(options.settings.width) / f64::from(options.settings.height);
     let up = options.up;
     let framing = match up {
-        Some(up) => Camera::framing_with_up(&model.bounds, up, aspect),
-        None => Camera::framing(&model.bounds, aspect),
+        Some(up) => Camera::framing_with_up(bounds, up, aspect),
+        None => Camera::framing(bounds, aspect),
     };
     let view = file_view(options)?;
-    let look_at = options.look_at.unwrap_or_else(|| model.bounds.center());
+    let look_at = options.look_at.unwrap_or_else(|| bounds.center());
     let eye = options.eye.unwrap_or_else(|| framing.eye());
     // The framing camera's own up is at a right angle to its view; any up that is given or usual will do here.
     let up = up.unwrap_or(if options.eye.is_some() { [0.0, 0.0, 1.0] } else { framing.frame()[1] });

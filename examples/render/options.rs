@@ -7,9 +7,10 @@ use std::thread;
 use outcrop::block::Codec;
 use outcrop::cache::Policy;
 use outcrop::compile::PrecisionChoice;
+use outcrop::import::GltfPart;
 use outcrop::octree::{LeafLayout, Tier, TreeQuality};
 use outcrop::procedural::Gears;
-use outcrop::render::{ImageFormat, RenderSettings};
+use outcrop::render::{ImageFormat, RenderSettings, WaitingRays};
 use outcrop::scene_file::SceneFile;
 use outcrop::simd::SimdLevel;
 use outcrop::units::Bytes;
@@ -48,6 +49,9 @@ resources
     --threads N             all of the machine's if not given
     --source KIND           disk (reads that leave no page cache), cached, mmap or memory (disk)
     --slots N               at most N cache slots
+    --waiting N             at most N rays wait for blocks that are not in the cache while others are traced; auto or never (auto:
+                            where there are fewer slots than blocks, and interreflection)
+    --loaders N             threads beside the others that load blocks for rays that wait (0)
     --keep-free BYTES       let the cache follow the system's free memory and leave so much to others
     --policy KIND           which block makes room: lru, clock or s3-fifo (lru)
     --leaves KIND           expanded or indexed; by the budget if not given
@@ -58,6 +62,8 @@ compiled file
     --compile-only          stop after compiling; -o then names the compiled file
     --compiled FILE         keep the compiled file there instead of beside the model
     --recompile             compile even if the compiled file is up to date
+    --copies                write meshes that a glTF file places more than once out in the compiled file, instead of sharing one of each;
+                            done anyway where sharing saves little, and with --compile-only, --compiled, --lazy, --record-accesses and --tier
     --lazy                  compile only what rays reach, and keep it in FILE.outcrop.working for the next time; done anyway
                             for a picture of a model that is not compiled, unless another option needs or asks for a compiled file
     --block-bytes BYTES     decoded size of a block, 4KiB to 256KiB (64KiB)
@@ -105,6 +111,8 @@ pub struct Options {
     pub threads: u32,
     pub source: SourceKind,
     pub slots_max: Option<u32>,
+    pub waiting: Option<WaitingRays>,
+    pub loaders: u32,
     pub policy: Policy,
     pub keep_free: Option<Bytes>,
     pub leaf_layout: LeafLayout,
@@ -115,6 +123,10 @@ pub struct Options {
     pub compiled: Option<PathBuf>,
     pub recompile: bool,
     pub lazy: bool,
+    /// Whether meshes of a glTF file are not shared.
+    pub copies: bool,
+    /// Which part of a glTF file `model` stands for.
+    pub part: GltfPart,
     pub block_bytes: Option<u32>,
     pub codec: Option<Codec>,
     pub precision: Option<PrecisionChoice>,
@@ -141,8 +153,24 @@ impl Options {
 
     /// Whether a model that is not compiled shall be compiled as rays reach it: if only its picture is wanted.
     pub fn is_lazy(&self) -> bool {
-        let wants_file = self.compile_only || self.asks_to_compile() || self.record_accesses.is_some();
+        let wants_file = self.compile_only
+            || self.asks_to_compile()
+            || self.record_accesses.is_some()
+            || self.part != GltfPart::Scene;
         self.lazy || (!wants_file && self.source == SourceKind::Disk)
+    }
+
+    /// The glTF file, if meshes that it places more than once may be shared.
+    pub fn shareable(&self) -> Option<&Path> {
+        let is_for_one_model = self.copies
+            || self.scene.is_some()
+            || self.compile_only
+            || self.compiled.is_some()
+            || self.lazy
+            || self.record_accesses.is_some()
+            // Hits of instances are always certified.
+            || self.tier != Tier::Certified;
+        self.model.as_deref().filter(|path| !is_for_one_model && is_gltf(path))
     }
 
     pub fn parse(mut arguments: Arguments) -> Result<Command, Box<dyn Error>> {
@@ -174,6 +202,16 @@ impl Options {
                     options.source = arguments.choice(&kinds)?;
                 }
                 "--slots" => options.slots_max = Some(arguments.value()?),
+                "--waiting" => {
+                    options.waiting = Some(match arguments.text()?.as_str() {
+                        "auto" => WaitingRays::Auto,
+                        "never" => WaitingRays::Never,
+                        count => WaitingRays::Count(count.parse().map_err(|_| {
+                            format!("--waiting: `{count}` is not auto, never or a number of rays")
+                        })?),
+                    });
+                }
+                "--loaders" => options.loaders = arguments.value()?,
                 "--keep-free" => options.keep_free = Some(arguments.value()?),
                 "--policy" => {
                     options.policy = arguments.choice(&Policy::ALL.map(|kind| (kind.name(), kind)))?
@@ -194,6 +232,7 @@ impl Options {
                 "--compile-only" => options.compile_only = true,
                 "--compiled" => options.compiled = Some(arguments.path()?),
                 "--recompile" => options.recompile = true,
+                "--copies" => options.copies = true,
                 "--lazy" => options.lazy = true,
                 "--block-bytes" => {
                     let bytes: Bytes = arguments.value()?;
@@ -249,6 +288,8 @@ impl Options {
         let bound = given.contribution_bound;
         self.settings.contribution_bound = bound.unwrap_or(self.settings.contribution_bound);
         self.memory = given.memory.unwrap_or(self.memory);
+        self.settings.waiting = self.waiting.unwrap_or(self.settings.waiting);
+        self.settings.loader_threads = self.loaders;
         if self.compile_only {
             self.compiled = given.output.or(self.compiled.take());
             return Ok(());
@@ -337,6 +378,8 @@ impl Default for Options {
             threads: thread::available_parallelism().map_or(1, |count| count.get() as u32),
             source: SourceKind::Disk,
             slots_max: None,
+            waiting: None,
+            loaders: 0,
             policy: Policy::Lru,
             keep_free: None,
             leaf_layout: LeafLayout::Auto,
@@ -347,6 +390,8 @@ impl Default for Options {
             compiled: None,
             recompile: false,
             lazy: false,
+            copies: false,
+            part: GltfPart::Scene,
             block_bytes: None,
             codec: None,
             precision: None,
@@ -355,6 +400,11 @@ impl Default for Options {
             memory_log: None,
         }
     }
+}
+
+/// Whether a file is glTF, by its name.
+pub fn is_gltf(path: &Path) -> bool {
+    path.extension().is_some_and(|kind| kind == "gltf" || kind == "glb")
 }
 
 /// A position, and an intensity if there is a fourth number.

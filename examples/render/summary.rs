@@ -239,6 +239,17 @@ fn print_blocks(report: &RenderReport) {
         report.loads_per_touched_block(),
         Bytes(report.trace.bytes_read)
     );
+    let Some(waiting) = &report.waiting else { return };
+    let loaders = match waiting.loader_threads {
+        0 => "loaded by the threads that trace".to_string(),
+        count => format!("loaded beside them by {}", counted(count.into(), "thread")),
+    };
+    println!(
+        "waiting   up to {} of {} rays at a time for blocks, {loaders}; {:.2} s without tracing",
+        grouped(report.trace.suspended_peak),
+        grouped(waiting.rays.into()),
+        waiting.loading_seconds
+    );
 }
 
 fn compile_stats(report: &CompileReport) -> Value {

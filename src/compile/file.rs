@@ -7,7 +7,7 @@ use super::options::{CompileOptions, CompileReport, Control, Progress};
 use super::vertices::Keep;
 use crate::budget::MemoryBudget;
 use crate::error::{CompileError, ImportError};
-use crate::import::{ImportOptions, ImportReport, import_file, source_record};
+use crate::import::{ImportOptions, ImportReport, import_file, source_record_of};
 use crate::model::SourceRecord;
 
 /// Compiles the model file `input` to `output`, in memory bounded by `budget`. `progress` is called some hundred times.
@@ -23,13 +23,29 @@ pub fn compile_file(
     budget: &MemoryBudget,
     progress: &mut dyn FnMut(Progress) -> Control,
 ) -> Result<CompileReport, CompileError> {
-    let source = source_record(input)?;
+    compile_file_with(input, &ImportOptions::default(), output, options, budget, progress)
+}
+
+/// [`compile_file`] of what `import` has read: with other materials, or a part of a glTF file. Threads are those of `options`.
+///
+/// # Errors
+/// As for [`compile_file`].
+pub fn compile_file_with(
+    input: &Path,
+    import: &ImportOptions,
+    output: &Path,
+    options: &CompileOptions,
+    budget: &MemoryBudget,
+    progress: &mut dyn FnMut(Progress) -> Control,
+) -> Result<CompileReport, CompileError> {
+    let source = source_record_of(input, import)?;
     let mut prepare = |_: &mut Compiler<'_>| ();
-    read_file(input, output, source, options, budget, progress, &mut prepare, |compiler, import| {
+    let end = |compiler: Compiler<'_>, import| {
         let mut report = compiler.finish()?;
         report.import = Some(import);
         Ok(report)
-    })
+    };
+    read_file(input, import, output, source, options, budget, progress, &mut prepare, end)
 }
 
 /// Reads the model file `input` into a compiler, as often as it takes, and ends the one that has all that it needs; `end` gets what the
@@ -37,6 +53,7 @@ pub fn compile_file(
 #[expect(clippy::too_many_arguments, reason = "what a compile takes, and two steps of it")]
 pub(super) fn read_file<T>(
     input: &Path,
+    import: &ImportOptions,
     output: &Path,
     source: SourceRecord,
     options: &CompileOptions,
@@ -56,7 +73,7 @@ pub(super) fn read_file<T>(
         if let Some(spent) = &spent {
             compiler.add_spent(spent);
         }
-        let import_options = ImportOptions { pool: compiler.pool().cloned(), ..ImportOptions::default() };
+        let import_options = ImportOptions { pool: compiler.pool().cloned(), ..import.clone() };
         let imported = import_file(input, &import_options, &mut compiler);
         let imported = imported.map_err(sink_error).and_then(|report| compiler.drain().map(|()| report));
         match (imported, compiler.needs()) {

@@ -43,7 +43,7 @@ mod temporary;
 mod vertices;
 
 pub use compiler::Compiler;
-pub use file::compile_file;
+pub use file::{compile_file, compile_file_with};
 pub use lazy::{LazyModel, LazyOptions, LazyReport};
 pub use options::{
     AUTO_TOLERANCE, CompileOptions, CompileReport, Control, Phase, PhaseSeconds, PrecisionChoice, Progress,

@@ -138,6 +138,23 @@ pub fn source_record(path: &Path) -> Result<SourceRecord, ImportError> {
     Ok(SourceRecord { file_bytes: metadata.len(), modified_ns, fingerprint })
 }
 
+/// [`source_record`] of what `options` have read: the same file read in another part has another fingerprint.
+///
+/// # Errors
+/// As for [`source_record`].
+pub fn source_record_of(path: &Path, options: &ImportOptions) -> Result<SourceRecord, ImportError> {
+    let record = source_record(path)?;
+    #[cfg(feature = "gltf")]
+    if options.gltf_part != gltf::GltfPart::Scene {
+        let mut hash = Xxh3::new();
+        hash.update(&record.fingerprint.to_le_bytes());
+        hash.update(format!("{:?}", options.gltf_part).as_bytes());
+        return Ok(SourceRecord { fingerprint: hash.digest(), ..record });
+    }
+    let _ = options;
+    Ok(record)
+}
+
 /// XXH3-64 over the size and both ends of a file.
 fn fingerprint(file: &mut File, file_bytes: u64) -> io::Result<u64> {
     let mut hash = Xxh3::new();

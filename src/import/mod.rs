@@ -33,9 +33,9 @@ mod triangles;
 mod window;
 
 pub use buffer::MeshBuffer;
-pub use file::{import_file, source_record};
+pub use file::{import_file, source_record, source_record_of};
 #[cfg(feature = "gltf")]
-pub use gltf::JSON_BYTES_MAX;
+pub use gltf::{GltfMesh, GltfPart, JSON_BYTES_MAX, gltf_meshes};
 pub use obj::read_obj;
 pub use ply::read_ply;
 pub use polygon::CORNERS_MAX;

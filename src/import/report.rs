@@ -15,6 +15,9 @@ pub struct ImportOptions {
     /// What is sent is the same, in the same order. Up to about 8 MiB more memory. The import must not run on one of these threads, and
     /// none of them may be kept busy by the sink before [`MeshSink::vertices_complete`](super::MeshSink::vertices_complete).
     pub pool: Option<Arc<rayon::ThreadPool>>,
+    /// Which part of a glTF file is read; other files have none.
+    #[cfg(feature = "gltf")]
+    pub gltf_part: super::gltf::GltfPart,
 }
 
 impl ImportOptions {
@@ -27,6 +30,13 @@ impl ImportOptions {
     /// The same options with threads.
     pub fn with_pool(mut self, pool: Arc<rayon::ThreadPool>) -> ImportOptions {
         self.pool = Some(pool);
+        self
+    }
+
+    /// The same options for a part of a glTF file.
+    #[cfg(feature = "gltf")]
+    pub fn with_gltf_part(mut self, part: super::gltf::GltfPart) -> ImportOptions {
+        self.gltf_part = part;
         self
     }
 }

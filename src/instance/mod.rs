@@ -11,6 +11,8 @@
 //!
 //! Triangles are numbered by instance, then by their number in the model ([`InstanceTriangle`]): ties go to the first instance.
 
+#[cfg(feature = "gltf")]
+mod gltf;
 mod goal;
 mod instances;
 mod moved_ray;
@@ -19,5 +21,7 @@ mod tracer;
 mod tree;
 mod walk;
 
+#[cfg(feature = "gltf")]
+pub use gltf::GltfInstances;
 pub use instances::{Instance, InstanceTriangle, Instances};
 pub use tracer::InstanceTracer;

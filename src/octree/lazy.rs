@@ -257,11 +257,22 @@ impl LazyOctree {
 
 /// What one tracer takes from the budget.
 pub(crate) fn tracer_bytes(source: &dyn BlockSource) -> Bytes {
-    let limits = source.model().limits;
+    bytes_with_buffer(source.model(), source.buffer_bytes().0)
+}
+
+/// Much the same for a source of which nothing is known but its model.
+pub(crate) fn tracer_bytes_about(model: &Model) -> Bytes {
+    /// What sources need beyond a block: reads that bypass the page cache begin and end at pages.
+    const BEYOND: u64 = 16 << 10;
+    bytes_with_buffer(model, u64::from(model.limits.block_bytes_max) + BEYOND)
+}
+
+fn bytes_with_buffer(model: &Model, buffer: u64) -> Bytes {
+    let limits = model.limits;
     Bytes(
         DecodeScratch::bytes_for(limits).0
             + BlockData::bytes_for(limits).0
-            + source.buffer_bytes().0
+            + buffer
             + BuildScratch::bytes(limits.triangle_count_max(), limits.vertex_count_max())
             // Stacks, pins, hits that wait and the struct itself.
             + (24 << 10),

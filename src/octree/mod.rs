@@ -23,7 +23,7 @@ pub(crate) use coarse::CoarseTree;
 pub(crate) use fill::build;
 pub(crate) use fine::{Fine, TriangleLocation};
 pub(crate) use grown::Reached;
-pub(crate) use lazy::{TracerPermit, tracer_bytes};
+pub(crate) use lazy::{TracerPermit, tracer_bytes, tracer_bytes_about};
 pub(crate) use node::{Child, LEVELS_MAX, STACK_MAX};
 pub(crate) use ray::{LocalRay, MovedRay, QueryRay, power_of_two, prepare_moved, splat_interval};
 pub(crate) use ray_group::RayGroup;

@@ -79,7 +79,7 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
     pub(super) fn resolve_shadows(&mut self, start: Instant) -> Result<Instant, TraceError> {
         let shaded = Instant::now();
         self.seconds.shading += (shaded - start).as_secs_f64();
-        let lost = &mut self.lost;
+        let lost = &mut self.lost_by_shadows;
         let (times, radiance) = (&self.times, &mut self.radiance);
         self.shadows.resolve(self.stage, &mut self.query, times, radiance, lost, &mut self.counters)?;
         let resolved = Instant::now();

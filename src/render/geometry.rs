@@ -12,7 +12,9 @@ use crate::instance::Instances;
 use crate::model::{MaterialRecord, Model};
 use crate::octree::LazyOctree;
 use crate::render::query::SceneTracer;
+use crate::render::waiting::PoolQuery;
 use crate::scene::{AttributeKinds, EffectOptions, EffectPlan, Scene};
+use crate::trace::RayPool;
 use crate::units::Bytes;
 
 /// What surfaces there are, as far as directories tell.
@@ -163,6 +165,12 @@ impl<'a> Geometry<'a> {
                 time: 0.0,
             },
         })
+    }
+
+    /// A query for one thread through a pool of its own.
+    pub fn pool_query(pool: RayPool<'a>, attributes: &'a [Option<AttributeCache>]) -> PoolQuery<'a> {
+        let attributes = attributes.first().and_then(|cache| cache.as_ref().map(AttributeCache::reader));
+        PoolQuery { pool, attributes }
     }
 
     /// What the caches of blocks did, together.

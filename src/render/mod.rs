@@ -68,7 +68,9 @@ mod sampling;
 mod settings;
 mod shadows;
 mod stage;
+mod tile_samples;
 pub(crate) mod tiles;
+mod waiting;
 mod workers;
 
 pub use crate::compile::{Control, Threads};
@@ -84,10 +86,10 @@ pub(crate) use query::SceneTracer;
 pub(crate) use region::Canvas;
 pub use region::{Region, RegionRenderer};
 pub use renderer::{RenderedImage, Renderer};
-pub use report::{Outcome, RenderReport, WorkerSeconds};
+pub use report::{Outcome, RenderReport, WaitingReport, WorkerSeconds};
 pub use sampling::Filter;
 pub(crate) use sampling::mix;
-pub use settings::{PathEnd, RenderSettings};
+pub use settings::{PathEnd, RenderSettings, WaitingRays};
 pub(crate) use tiles::TileGrid;
 pub(crate) use workers::worker_count;
 

@@ -16,7 +16,11 @@ pub(super) struct Sizes {
 
 impl Sizes {
     pub fn of(stage: &Stage) -> Sizes {
-        let batch = stage.settings.batch_samples.min(tile_samples_max(stage)) as usize;
+        Sizes::of_batch(stage, stage.settings.batch_samples.min(tile_samples_max(stage)) as usize)
+    }
+
+    /// For calls of at most `batch` samples.
+    pub fn of_batch(stage: &Stage, batch: usize) -> Sizes {
         let lamps = stage.emitters.len().clamp(1, 4);
         let is_sampled = matches!(stage.path_loop, Loop::Sampled | Loop::Detailed);
         let has_shadows = stage.shadows || stage.force_shadows || stage.samples_lights();

@@ -40,19 +40,19 @@ enum Kind {
 
 /// The ray of a sample that is about to be traced; the ray itself stands beside it in a list of its own.
 #[derive(Clone, Copy, Debug)]
-struct Head {
-    slot: u32,
+pub(super) struct Head {
+    pub slot: u32,
     /// Rays that the tree below may hold, this one included.
-    work: u64,
-    throughput: DVec3,
+    pub work: u64,
+    pub throughput: DVec3,
 }
 
 /// A ray that waits for its sibling's tree to end.
 #[derive(Clone, Copy, Debug)]
-struct Waiting {
-    ray: Ray,
-    work: u64,
-    throughput: DVec3,
+pub(super) struct Waiting {
+    pub ray: Ray,
+    pub work: u64,
+    pub throughput: DVec3,
 }
 
 /// A hit that is being shaded.
@@ -99,27 +99,29 @@ pub(crate) struct PathTracer<'s, Q> {
     pub query: SurfaceQuery<'s, Q>,
     pub counters: EffectCounters,
     pub seconds: WorkerSeconds,
-    heads: Vec<Head>,
-    rays: Vec<Ray>,
-    next_heads: Vec<Head>,
-    next_rays: Vec<Ray>,
-    hits: Vec<Option<Hit>>,
+    pub(super) heads: Vec<Head>,
+    pub(super) rays: Vec<Ray>,
+    pub(super) next_heads: Vec<Head>,
+    pub(super) next_rays: Vec<Ray>,
+    pub(super) hits: Vec<Option<Hit>>,
     pub(super) points: Vec<Point>,
     /// `stack_depth` places per slot.
-    waiting: Vec<Option<Waiting>>,
-    waiting_counts: Vec<u8>,
-    stack_depth: usize,
+    pub(super) waiting: Vec<Option<Waiting>>,
+    pub(super) waiting_counts: Vec<u8>,
+    pub(super) stack_depth: usize,
     pub(super) radiance: Vec<DVec3>,
     /// Per slot: the most that any channel may lack because something was not followed.
     pub(super) lost: Vec<f64>,
+    /// The same of shadow rays, until the sample is done; only if they can pass surfaces.
+    pub(super) lost_by_shadows: Vec<f64>,
     pub(super) shadows: ShadowBatch,
     /// Rays of forced effects that cannot matter.
     forced: Vec<Ray>,
     /// One beside each of `heads`, `next_heads`, `points` and `waiting`, in loops that sample effects; empty in others.
-    walks: Vec<Walk>,
-    next_walks: Vec<Walk>,
+    pub(super) walks: Vec<Walk>,
+    pub(super) next_walks: Vec<Walk>,
     pub(super) scatters: Vec<Scatter>,
-    waiting_walks: Vec<Option<Walk>>,
+    pub(super) waiting_walks: Vec<Option<Walk>>,
     /// When each sample is taken, by slot, and when each of `rays` is traced; only if instances move.
     pub(super) times: Vec<f64>,
     ray_times: Vec<f64>,
@@ -131,7 +133,10 @@ pub(crate) struct PathTracer<'s, Q> {
 
 impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     pub fn new(stage: &'s Stage, query: Q) -> PathTracer<'s, Q> {
-        let sizes = Sizes::of(stage);
+        PathTracer::of_sizes(stage, query, &Sizes::of(stage))
+    }
+
+    pub(super) fn of_sizes(stage: &'s Stage, query: Q, sizes: &Sizes) -> PathTracer<'s, Q> {
         PathTracer {
             stage,
             batch_samples: sizes.batch,
@@ -149,6 +154,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             stack_depth: sizes.stack_depth,
             radiance: Vec::with_capacity(sizes.batch),
             lost: Vec::with_capacity(sizes.batch),
+            lost_by_shadows: Vec::with_capacity(if stage.transparent.is_some() { sizes.batch } else { 0 }),
             shadows: ShadowBatch::new(sizes.shadows, stage.transparent.is_some()),
             forced: Vec::with_capacity(sizes.forced),
             walks: Vec::with_capacity(sizes.walks),
@@ -180,6 +186,19 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         &mut self,
         samples: impl Iterator<Item = CameraSample>,
     ) -> Result<(), TraceError> {
+        self.begin::<E>(samples);
+        while !self.heads.is_empty() {
+            self.step::<E>()?;
+        }
+        self.counters.add_details(&std::mem::take(&mut self.query.counters));
+        for (lost, by_shadows) in self.lost.iter_mut().zip(&self.lost_by_shadows) {
+            *lost += by_shadows;
+        }
+        Ok(())
+    }
+
+    /// Makes the camera rays of these samples the heads.
+    pub(super) fn begin<E: EffectsOfLoop>(&mut self, samples: impl Iterator<Item = CameraSample>) {
         self.heads.clear();
         self.rays.clear();
         self.walks.clear();
@@ -208,6 +227,10 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         let count = self.heads.len() as u64;
         self.radiance.resize(self.heads.len(), DVec3::ZERO);
         self.lost.resize(self.heads.len(), 0.0);
+        self.lost_by_shadows.clear();
+        if self.stage.transparent.is_some() {
+            self.lost_by_shadows.resize(self.heads.len(), 0.0);
+        }
         self.counters.samples += count;
         self.counters.primary_rays += count;
         if self.stage.view.has_lens() {
@@ -218,11 +241,6 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             self.counters.shutter_rays += count;
             self.counters.random_numbers += count;
         }
-        while !self.heads.is_empty() {
-            self.step::<E>()?;
-        }
-        self.counters.add_details(&std::mem::take(&mut self.query.counters));
-        Ok(())
     }
 
     /// Radiance of each ray of the last [`PathTracer::trace`].
@@ -246,6 +264,17 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         }
         let hits = &mut self.hits[..self.rays.len()];
         self.query.closest_hits(&self.rays, hits)?;
+        self.go_on::<E>(start)?;
+        std::mem::swap(&mut self.heads, &mut self.next_heads);
+        std::mem::swap(&mut self.rays, &mut self.next_rays);
+        if E::SAMPLED {
+            std::mem::swap(&mut self.walks, &mut self.next_walks);
+        }
+        Ok(())
+    }
+
+    /// Shades what the heads, which were traced from `start` on, hit, and finds the next ray of each sample's tree.
+    pub(super) fn go_on<E: EffectsOfLoop>(&mut self, start: Instant) -> Result<(), TraceError> {
         if E::SAMPLED && (self.stage.nested || self.stage.force_nested) {
             self.find_borders()?;
         }
@@ -265,11 +294,6 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             self.query.closest_hits(forced, &mut self.hits[..forced.len()])?;
             self.counters.forced_rays += forced.len() as u64;
             self.forced.clear();
-        }
-        std::mem::swap(&mut self.heads, &mut self.next_heads);
-        std::mem::swap(&mut self.rays, &mut self.next_rays);
-        if E::SAMPLED {
-            std::mem::swap(&mut self.walks, &mut self.next_walks);
         }
         Ok(())
     }
@@ -738,14 +762,17 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
 
 /// What [`PathTracer::new`] allocates for `stage`, in bytes.
 pub(crate) fn bytes_needed(stage: &Stage) -> usize {
-    let sizes = Sizes::of(stage);
+    bytes_of_sizes(stage, &Sizes::of(stage))
+}
+
+pub(super) fn bytes_of_sizes(stage: &Stage, sizes: &Sizes) -> usize {
     let per_sample = 2 * (size_of::<Head>() + size_of::<Ray>())
         + size_of::<Option<Hit>>()
         + size_of::<Point>()
         + sizes.stack_depth * size_of::<Option<Waiting>>()
         + size_of::<u8>()
         + size_of::<DVec3>()
-        + size_of::<f64>();
+        + 2 * size_of::<f64>();
     sizes.batch * per_sample
         + sizes.walks
             * (2 * size_of::<Walk>()

@@ -123,7 +123,7 @@ impl RegionRenderer<'_> {
             });
         }
         match self.worker.render_area_to(Area { x, y, width, height }, None) {
-            Ok(true) => Ok(Some(self.worker.finished())),
+            Ok(true) => Ok(Some(&self.worker.finished().pixels)),
             Ok(false) => Ok(None),
             Err(error) => Err(error.into()),
         }

@@ -8,10 +8,11 @@ use super::geometry::{self, Geometry, Surfaces};
 use super::layers::{Layers, layers};
 use super::probe::Probe;
 use super::query::{RayQuery, SceneTracer};
-use super::report::{Outcome, RenderReport};
+use super::report::{Outcome, RenderReport, WaitingReport};
 use super::resample::{self, Resampled, SampledPixel};
-use super::settings::RenderSettings;
+use super::settings::{RenderSettings, WaitingRays};
 use super::stage::Stage;
+use super::waiting::WaitingPlan;
 use super::workers::{self, ProgressFn, Thresholds, Totals};
 use super::{Progress, paths};
 use crate::attributes::AttributeCache;
@@ -21,9 +22,10 @@ use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
 use crate::instance::Instances;
 use crate::model::Model;
-use crate::octree::LazyOctree;
+use crate::octree::{LazyOctree, tracer_bytes_about};
 use crate::scene::{Effect, EffectPlan, Scene};
 use crate::texture::TextureCache;
+use crate::trace::{BlockLoader, LoaderOptions};
 use crate::units::Bytes;
 
 /// A picture and what making it took.
@@ -120,7 +122,7 @@ impl<'a> Renderer<'a> {
         settings: &RenderSettings,
         threads: &Threads,
     ) -> Result<Bytes, RenderError> {
-        bytes_needed(&Surfaces::from(model), scene, settings, threads)
+        bytes_needed(&Surfaces::from(model), scene, settings, threads, Some(model))
     }
 
     /// [`Renderer::bytes_needed`] for a picture of instances of all these models.
@@ -133,7 +135,7 @@ impl<'a> Renderer<'a> {
         settings: &RenderSettings,
         threads: &Threads,
     ) -> Result<Bytes, RenderError> {
-        bytes_needed(&Surfaces::from(models), scene, settings, threads)
+        bytes_needed(&Surfaces::from(models), scene, settings, threads, None)
     }
 
     /// Of [`Renderer::bytes_needed`], what the caches of attributes and textures take for so many threads.
@@ -210,7 +212,17 @@ impl<'a> Renderer<'a> {
         progress: &mut (dyn FnMut(Progress) -> Control + Send),
     ) -> Result<RenderedImage, RenderError> {
         let cache_before = self.geometry.cache_stats();
-        let picture = picture(&self.stage, threads, &self.budget, &|| self.query(), thresholds, progress)?;
+        let (picture, waiting) = match self.waiting(threads) {
+            Some((octree, plan)) => {
+                let (picture, waiting) =
+                    self.picture_waiting(octree, &plan, threads, thresholds, progress)?;
+                (picture, Some(waiting))
+            }
+            None => {
+                let query = || self.query();
+                (picture(&self.stage, threads, &self.budget, &query, thresholds, progress)?, None)
+            }
+        };
         let Picture { film, totals, wall_seconds, memory } = picture;
         let settings = &self.stage.settings;
         let report = RenderReport {
@@ -235,8 +247,87 @@ impl<'a> Renderer<'a> {
             blocks_total: self.geometry.block_count(),
             memory,
             budget_peak: self.budget.peak(),
+            waiting,
         };
         Ok(RenderedImage { film, report })
+    }
+
+    /// The octree whose blocks rays are to wait for, and how many, if any are.
+    fn waiting(&self, threads: &Threads) -> Option<(&LazyOctree, WaitingPlan)> {
+        let Geometry::Model(octree) = self.geometry else { return None };
+        let (stage, model) = (&self.stage, octree.model());
+        let workers = workers::worker_count(threads);
+        let mut plan = WaitingPlan::of(stage, model, workers)?;
+        if stage.settings.waiting != WaitingRays::Auto {
+            return Some((octree, plan));
+        }
+        let cache = octree.cache();
+        if cache.slot_count() >= model.expected_block_count() {
+            return None;
+        }
+        let cache_bytes = cache.slot_bytes().0.saturating_mul(u64::from(cache.slot_count()));
+        // What the threads' tracers take is not reserved yet either.
+        let tracers = tracer_bytes_about(model).0.saturating_mul(workers as u64);
+        let film = Film::bytes_needed(&stage.grid, Kept::by(&stage.settings)).0;
+        let available = self.budget.available().0.saturating_sub(film).saturating_sub(tracers);
+        while waiting_bytes(stage, model, &plan, workers).0 > available.min(cache_bytes) {
+            plan = plan.smaller(stage, workers)?;
+        }
+        Some((octree, plan))
+    }
+
+    /// [`picture`] with rays that wait for blocks.
+    fn picture_waiting<'o>(
+        &'o self,
+        octree: &'o LazyOctree,
+        plan: &WaitingPlan,
+        threads: &Threads,
+        thresholds: &Thresholds<'_>,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<(Picture, WaitingReport), RenderError> {
+        let stage = &self.stage;
+        let workers = workers::worker_count(threads);
+        // Pools and loaders make reservations of their own.
+        let scratch = plan.bytes(stage).saturating_mul(workers as u64) + stage_bytes(stage);
+        let film = Film::bytes_needed(&stage.grid, Kept::by(&stage.settings));
+        let memory = Bytes(film.0 + waiting_bytes(stage, octree.model(), plan, workers).0);
+        let options = plan.pool_options(stage);
+        let mut loader_threads = stage.settings.loader_threads;
+        let mut draw = |loader: Option<&BlockLoader<'o>>| {
+            picture_by(stage, &self.budget, Bytes(scratch), memory, &mut |film, order| {
+                let make_query = || {
+                    let pool = match loader {
+                        Some(loader) => loader.ray_pool(options.clone())?,
+                        None => octree.ray_pool(options.clone())?,
+                    };
+                    Ok(Geometry::pool_query(pool, &self.attributes))
+                };
+                workers::run_waiting(stage, plan, order, film, threads, &make_query, thresholds, progress)
+            })
+        };
+        let picture = if loader_threads == 0 {
+            draw(None)?
+        } else {
+            let options = loader_options(loader_threads);
+            match octree.with_loader(loader_threads, options, |loader| draw(Some(loader))) {
+                Ok(picture) => picture?,
+                // Nothing was drawn.
+                Err(TraceError::Budget(_)) if stage.settings.waiting == WaitingRays::Auto => {
+                    loader_threads = 0;
+                    draw(None)?
+                }
+                Err(error) => return Err(error.into()),
+            }
+        };
+        let loads = picture.totals.loads;
+        let waiting = WaitingReport {
+            rays: plan.rays.saturating_mul(workers as u32),
+            loader_threads,
+            loading_seconds: loads.loading.as_secs_f64(),
+            stall_seconds: loads.stall.as_secs_f64(),
+            in_flight_peak: loads.in_flight_peak,
+        };
+        Ok((picture, waiting))
     }
 }
 
@@ -291,17 +382,24 @@ pub(super) struct Picture {
     pub memory: Bytes,
 }
 
-/// What a render of these surfaces takes.
+/// What a render of these surfaces takes; `model`: if they are those of one model.
 fn bytes_needed(
     surfaces: &Surfaces<'_>,
     scene: &Scene,
     settings: &RenderSettings,
     threads: &Threads,
+    model: Option<&Model>,
 ) -> Result<Bytes, RenderError> {
     let (stage, _) = set(scene, surfaces, settings)?;
-    let readers = workers::worker_count(threads) as u32;
-    let details = detail_bytes(&stage, scene, surfaces, readers);
-    Ok(Bytes(memory(&stage, threads).total().0 + details.0))
+    let workers = workers::worker_count(threads);
+    let details = detail_bytes(&stage, scene, surfaces, workers as u32);
+    let Memory { film, scratch } = memory(&stage, threads);
+    // Whether rays wait is decided when it is known how many slots there are.
+    let waiting = model.and_then(|model| {
+        let plan = WaitingPlan::of(&stage, model, workers)?;
+        Some(waiting_bytes(&stage, model, &plan, workers))
+    });
+    Ok(Bytes(film.0 + scratch.max(waiting.unwrap_or_default()).0 + details.0))
 }
 
 /// What the caches of attributes and textures take for so many threads.
@@ -352,13 +450,29 @@ pub(super) fn picture<Q: RayQuery>(
     thresholds: &Thresholds<'_>,
     progress: &mut ProgressFn<'_>,
 ) -> Result<Picture, RenderError> {
-    let start = Instant::now();
     let needed = memory(stage, threads);
-    let _scratch = budget.reserve(needed.scratch, "the renderer's ray trees and tiles")?;
+    picture_by(stage, budget, needed.scratch, needed.total(), &mut |film, order| {
+        workers::run(stage, order, film, threads, make_query, thresholds, progress)
+    })
+}
+
+/// What makes the film, tile by tile in the order of these cells.
+type Draw<'d> = dyn FnMut(&mut Film, &[u32]) -> Result<Totals, RenderError> + 'd;
+
+/// Reserves `scratch`, and has `draw` make the film, tile by tile in the order that it is given. `memory`: what is reported as taken.
+fn picture_by(
+    stage: &Stage,
+    budget: &MemoryBudget,
+    scratch: Bytes,
+    memory: Bytes,
+    draw: &mut Draw<'_>,
+) -> Result<Picture, RenderError> {
+    let start = Instant::now();
+    let _scratch = budget.reserve(scratch, "the renderer's ray trees and tiles")?;
     let mut film = Film::keeping(&stage.grid, Kept::by(&stage.settings), budget)?;
     let order = stage.grid.hilbert_order();
-    let totals = workers::run(stage, &order, &mut film, threads, make_query, thresholds, progress)?;
-    Ok(Picture { film, totals, wall_seconds: start.elapsed().as_secs_f64(), memory: needed.total() })
+    let totals = draw(&mut film, &order)?;
+    Ok(Picture { film, totals, wall_seconds: start.elapsed().as_secs_f64(), memory })
 }
 
 /// What a render takes from the budget.
@@ -375,10 +489,29 @@ impl Memory {
 
 fn memory(stage: &Stage, threads: &Threads) -> Memory {
     let per_thread = paths::bytes_needed(stage) + workers::tile_bytes(stage);
-    let scratch = per_thread as u64 * workers::worker_count(threads) as u64
-        + stage.bytes() as u64
-        + stage.grid.order_bytes().0;
+    let scratch = per_thread as u64 * workers::worker_count(threads) as u64 + stage_bytes(stage);
     Memory { film: Film::bytes_needed(&stage.grid, Kept::by(&stage.settings)), scratch: Bytes(scratch) }
+}
+
+/// What all threads share, but for the film.
+fn stage_bytes(stage: &Stage) -> u64 {
+    stage.bytes() as u64 + stage.grid.order_bytes().0
+}
+
+/// What a render takes whose rays wait, but for the film and the threads' tracers.
+fn waiting_bytes(stage: &Stage, model: &Model, plan: &WaitingPlan, workers: usize) -> Bytes {
+    let of_worker = plan.bytes_with_pool(stage, model.block_id_count() as usize);
+    /// Requests and what comes of them: small beside a load's scratch.
+    const QUEUES: u64 = 64 << 10;
+    let of_loader = tracer_bytes_about(model).0 + QUEUES;
+    let loaders = of_loader * u64::from(stage.settings.loader_threads);
+    Bytes(of_worker.saturating_mul(workers as u64).saturating_add(loaders).saturating_add(stage_bytes(stage)))
+}
+
+/// As many loads at a time as there are threads for them, and as many again to choose the next from.
+fn loader_options(threads: u32) -> LoaderOptions {
+    let least = LoaderOptions::default();
+    LoaderOptions { loads_at_once: threads, loads_in_flight: least.loads_in_flight.max(2 * threads) }
 }
 
 /// What happened between two looks at the same cache.

@@ -27,6 +27,21 @@ impl WorkerSeconds {
     }
 }
 
+/// How rays waited for blocks in a render ([`WaitingRays`](super::WaitingRays)).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WaitingReport {
+    /// Rays that could wait, all threads together.
+    pub rays: u32,
+    /// Threads that loaded blocks beside those that traced; 0 if these loaded for themselves.
+    pub loader_threads: u32,
+    /// Seconds by the clock, summed over the threads that trace, in which they did not because of loads.
+    pub loading_seconds: f64,
+    /// Of these, those in which they waited: for reads, for loaders, for other threads.
+    pub stall_seconds: f64,
+    /// Most loads that one thread had asked loaders for at one time.
+    pub in_flight_peak: u32,
+}
+
 /// How a render ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
@@ -73,6 +88,8 @@ pub struct RenderReport {
     pub memory: Bytes,
     /// Largest sum of reservations in the budget so far, other users included.
     pub budget_peak: Bytes,
+    /// How rays waited for blocks; `None` if none did because of the settings, the scene, the model or the budget.
+    pub waiting: Option<WaitingReport>,
 }
 
 impl RenderReport {
@@ -103,6 +120,7 @@ impl RenderReport {
             .count("blocks_loaded", trace.blocks_loaded)
             .count("bytes_read", trace.bytes_read)
             .count("triangles_decoded", trace.triangles_decoded)
+            .count("suspended_peak", trace.suspended_peak)
             .end();
         let cache = JsonObject::new()
             .count("hits", self.cache.hits)
@@ -123,6 +141,16 @@ impl RenderReport {
                 .text("reason", &decision.reason)
                 .end()
         }));
+        let waiting = match &self.waiting {
+            None => "null".to_string(),
+            Some(waiting) => JsonObject::new()
+                .count("rays", waiting.rays.into())
+                .count("loader_threads", waiting.loader_threads.into())
+                .number("loading_seconds", waiting.loading_seconds)
+                .number("stall_seconds", waiting.stall_seconds)
+                .count("in_flight_peak", waiting.in_flight_peak.into())
+                .end(),
+        };
         JsonObject::new()
             .flag("complete", self.outcome == Outcome::Complete)
             .count("width", self.width.into())
@@ -137,6 +165,7 @@ impl RenderReport {
             .raw("effects", &rays)
             .raw("trace", &queries)
             .raw("cache", &cache)
+            .raw("waiting", &waiting)
             .count("blocks_touched", self.blocks_touched)
             .count("blocks_total", self.blocks_total)
             .number("loads_per_touched_block", self.loads_per_touched_block())

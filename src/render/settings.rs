@@ -20,8 +20,30 @@ pub enum PathEnd {
     Roulette,
 }
 
+/// What a ray does that reaches a block which is not resident. The picture is the same, bit for bit; what differs is how often a block is
+/// loaded where the cache holds few of the blocks that rays reach.
+///
+/// Camera rays come in an order in which neighbours follow each other through the same blocks, so their thread loads for them in any case.
+/// It is all other rays that can wait: each for the block that it needs, until that is loaded for all that wait for it
+/// ([`RayPool`](crate::trace::RayPool)), while other samples go on. That takes memory for the samples on their way, 1 to 4 kilobytes for each ray that may wait, and
+/// it is no use where all blocks are resident.
+///
+/// Pictures of instances, regions, and pictures that keep [costs](RenderSettings::keep_costs) are always made as by [`WaitingRays::Never`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum WaitingRays {
+    /// Its thread loads the block at once.
+    Never,
+    /// They wait if there are fewer slots than blocks and the scene has interreflection, whose rays go anywhere. Those of mirrors and glass mostly follow each other,
+    /// as camera rays do, and taking them out of their order was found to cost more loads than it saves as often as not. As many may wait as a part of the
+    /// memory that all blocks would take holds, with no more than the cache has, at most 65,536; fewer or none if the budget has no room for them: nothing fails for that.
+    #[default]
+    Auto,
+    /// So many may wait, all threads together; at least 1.
+    Count(u32),
+}
+
 /// Size, quality and limits of a picture. The picture is a pure function of scene, model and the fields above
-/// `tile_size` (I2); `tile_size`, `detail_bytes` and `batch_samples` trade memory for speed and do not show.
+/// `tile_size` (I2); `tile_size`, `detail_bytes`, `batch_samples` and how rays wait trade memory for speed and do not show.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RenderSettings {
     /// Pixels across.
@@ -62,6 +84,13 @@ pub struct RenderSettings {
     pub detail_bytes: u64,
     /// Samples that are traced together at most; each holds up to four kilobytes in each thread.
     pub batch_samples: u32,
+    /// Whether rays wait for blocks that are not resident. A matter of the process that renders: it is not serialised.
+    #[serde(skip)]
+    pub waiting: WaitingRays,
+    /// Threads beside those of the render that load blocks while rays wait for them; with 0, each thread of the render loads for its own rays and traces nothing
+    /// meanwhile. None is started where no ray waits. Not serialised.
+    #[serde(skip)]
+    pub loader_threads: u32,
 }
 
 impl RenderSettings {
@@ -84,6 +113,8 @@ impl RenderSettings {
             tile_size: 32,
             detail_bytes: 64 << 20,
             batch_samples: 1024,
+            waiting: WaitingRays::default(),
+            loader_threads: 0,
         }
     }
 
@@ -138,7 +169,13 @@ impl RenderSettings {
             (1..=1 << 20).contains(&self.batch_samples),
             "batch size",
             "it must be between 1 and 1,048,576 samples",
-        )
+        )?;
+        check(
+            self.waiting != WaitingRays::Count(0),
+            "waiting rays",
+            "at least one must be allowed to wait; if none shall, say never",
+        )?;
+        check(self.loader_threads <= 1024, "loader threads", "there may be at most 1,024")
     }
 
     pub(crate) fn effect_options(&self) -> EffectOptions {

@@ -16,15 +16,27 @@ use crate::units::TriangleId;
 struct Claim {
     slot: u32,
     contribution: DVec3,
+    /// What it lost for being too faint to be followed.
+    lost: f64,
+}
+
+/// A claim that is answered after its batch.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OpenClaim {
+    pub slot: u32,
+    pub contribution: DVec3,
+    pub ray: Ray,
+    /// See [`ShadowBatch::pass_straight_only`].
+    pub straight_only: bool,
 }
 
 /// A shadow ray on its way through transparent surfaces.
 #[derive(Clone, Copy, Debug)]
-struct Walker {
+pub(super) struct Walker {
     claim: u32,
     transmittance: DVec3,
     /// The hit that was seen last.
-    last: Option<(f64, TriangleId)>,
+    pub last: Option<(f64, TriangleId)>,
     /// Where the surface was crossed that was crossed last, or where the ray begins.
     crossed_t: f64,
 }
@@ -43,6 +55,8 @@ pub(crate) struct ShadowBatch {
     walk_rays: Vec<Ray>,
     walk_after: Vec<(f64, TriangleId)>,
     walk_hits: Vec<Option<Hit>>,
+    /// Where claims go that are answered by somebody else.
+    open: Option<Vec<OpenClaim>>,
 }
 
 impl ShadowBatch {
@@ -58,7 +72,19 @@ impl ShadowBatch {
             walk_rays: Vec::with_capacity(walks),
             walk_after: Vec::with_capacity(walks),
             walk_hits: vec![None; walks],
+            open: None,
         }
+    }
+
+    /// From now on, claims are not answered here: [`ShadowBatch::resolve`] leaves them, at most `most` of them, to who calls
+    /// [`ShadowBatch::take_open`].
+    pub(super) fn leave_open(&mut self, most: usize) {
+        self.open = Some(Vec::with_capacity(most));
+    }
+
+    /// The claims that were left open, in the order in which they came.
+    pub(super) fn take_open(&mut self) -> impl Iterator<Item = OpenClaim> + '_ {
+        self.open.iter_mut().flat_map(|open| open.drain(..))
     }
 
     /// What [`ShadowBatch::new`] allocates.
@@ -92,11 +118,11 @@ impl ShadowBatch {
     pub fn push(&mut self, slot: u32, contribution: DVec3, ray: Ray) {
         debug_assert!(!self.is_full());
         self.rays.push(ray);
-        self.claims.push(Claim { slot, contribution });
+        self.claims.push(Claim { slot, contribution, lost: 0.0 });
     }
 
     /// `times`: when each sample is taken, if instances move. Answers all claims, adds what reaches `radiance`, and is empty again. Light too weak to be followed through more
-    /// surfaces is added to `lost`.
+    /// surfaces is added to `lost`, which may be empty where no surface is transparent.
     pub fn resolve(
         &mut self,
         stage: &Stage,
@@ -107,6 +133,17 @@ impl ShadowBatch {
         counters: &mut EffectCounters,
     ) -> Result<(), TraceError> {
         let count = self.claims.len();
+        if let Some(open) = &mut self.open {
+            counters.shadow_rays += count as u64;
+            let straight_only = self.straight_only;
+            open.extend(self.claims.drain(..).zip(self.rays.drain(..)).map(|(claim, ray)| OpenClaim {
+                slot: claim.slot,
+                contribution: claim.contribution,
+                ray,
+                straight_only,
+            }));
+            return Ok(());
+        }
         let occlusion = &mut self.occlusion[..count];
         let passed = if self.straight_only { &stage.straight } else { &stage.transparent };
         if !times.is_empty() {
@@ -121,16 +158,20 @@ impl ShadowBatch {
                     Occlusion::Clear => {}
                     Occlusion::Blocked => self.claims[index].contribution = DVec3::ZERO,
                     Occlusion::Filtered => {
-                        let (claim, crossed_t) = (index as u32, self.rays[index].t_min);
-                        let transmittance = DVec3::ONE;
-                        self.walkers.push(Walker { claim, transmittance, last: None, crossed_t });
+                        self.walkers.push(Walker::new(index as u32, &self.rays[index]));
                     }
                 }
             }
-            self.walk(stage, query, times, lost, counters)?;
+            self.walk(stage, query, times, counters)?;
         }
         for claim in &self.claims {
             radiance[claim.slot as usize] += claim.contribution;
+        }
+        // In the order of the claims, whichever batch they were in (I2).
+        if !lost.is_empty() {
+            for claim in &self.claims {
+                lost[claim.slot as usize] += claim.lost;
+            }
         }
         self.rays.clear();
         self.claims.clear();
@@ -144,7 +185,6 @@ impl ShadowBatch {
         stage: &Stage,
         query: &mut impl RayQuery,
         times: &[f64],
-        lost: &mut [f64],
         counters: &mut EffectCounters,
     ) -> Result<(), TraceError> {
         let mut is_first = true;
@@ -174,21 +214,8 @@ impl ShadowBatch {
             self.walkers.retain_mut(|walker| {
                 let (ray, hit) = (&walk_rays[index], hits[index]);
                 index += 1;
-                let Claim { slot, contribution } = &mut claims[walker.claim as usize];
-                let Some(hit) = hit else {
-                    *contribution *= walker.transmittance;
-                    return false;
-                };
-                walker.pass(stage, ray, &hit, counters);
-                let left = (*contribution * walker.transmittance).max_element();
-                // Roulette has decided before whether it is worth asking.
-                let goes_on = left > if stage.roulette { 0.0 } else { stage.settings.contribution_bound };
-                if !goes_on {
-                    counters.contribution_cuts += u64::from(left > 0.0);
-                    lost[*slot as usize] += left;
-                    *contribution = DVec3::ZERO;
-                }
-                goes_on
+                let Claim { contribution, lost, .. } = &mut claims[walker.claim as usize];
+                walker.meet(stage, ray, hit.as_ref(), contribution, lost, counters)
             });
         }
         Ok(())
@@ -196,6 +223,38 @@ impl ShadowBatch {
 }
 
 impl Walker {
+    /// At the beginning of `ray`, which is that of a claim.
+    pub fn new(claim: u32, ray: &Ray) -> Walker {
+        Walker { claim, transmittance: DVec3::ONE, last: None, crossed_t: ray.t_min }
+    }
+
+    /// Takes it to what it meets next, if anything. False if it is through, or what is left of the `contribution` is too weak to be
+    /// followed: it is lost then.
+    pub fn meet(
+        &mut self,
+        stage: &Stage,
+        ray: &Ray,
+        hit: Option<&Hit>,
+        contribution: &mut DVec3,
+        lost: &mut f64,
+        counters: &mut EffectCounters,
+    ) -> bool {
+        let Some(hit) = hit else {
+            *contribution *= self.transmittance;
+            return false;
+        };
+        self.pass(stage, ray, hit, counters);
+        let left = (*contribution * self.transmittance).max_element();
+        // Roulette has decided before whether it is worth asking.
+        let goes_on = left > if stage.roulette { 0.0 } else { stage.settings.contribution_bound };
+        if !goes_on {
+            counters.contribution_cuts += u64::from(left > 0.0);
+            *lost = left;
+            *contribution = DVec3::ZERO;
+        }
+        goes_on
+    }
+
     /// Takes it through the surface at `hit` and through the inside that ends there.
     fn pass(&mut self, stage: &Stage, ray: &Ray, hit: &Hit, counters: &mut EffectCounters) {
         self.last = Some((hit.t, hit.triangle));

@@ -312,11 +312,16 @@ impl Stage {
 
     /// The way into the scene of sample `sample` of `pixel`, which lies at `(x, y)` of the image.
     pub fn camera_sample(&self, pixel: u64, sample: u32, x: f64, y: f64) -> CameraSample {
-        let key = SampleKey::new(self.settings.seed, pixel, sample);
         let (has_lens, is_moving) = (self.view.has_lens(), self.draws_time());
         if !(has_lens || is_moving) {
+            // Loops without luck draw no numbers, and need no key for them (I6).
+            let key = match self.path_loop {
+                Loop::Matt | Loop::Whitted => SampleKey::NONE,
+                Loop::Sampled | Loop::Detailed => SampleKey::new(self.settings.seed, pixel, sample),
+            };
             return CameraSample { key, ray: self.view.ray(x, y), time: 0.0 };
         }
+        let key = SampleKey::new(self.settings.seed, pixel, sample);
         let lens = if has_lens { key.pair(VertexId::CAMERA, Dimension::Lens) } else { [0.5; 2] };
         let time = if is_moving { key.one(VertexId::CAMERA, Dimension::Shutter) } else { 0.0 };
         CameraSample { key, ray: self.view.sampled_ray(x, y, lens, time), time }

@@ -6,7 +6,7 @@
 use crate::units::Bytes;
 
 /// A rectangle of pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Area {
     pub x: u32,
     pub y: u32,
@@ -85,28 +85,25 @@ pub(crate) fn hilbert_index(side: u32, mut x: u32, mut y: u32) -> u64 {
 /// The pixels of a tile of `width` by `height` (each at most 65,535), as offsets from its corner in Morton order.
 pub(crate) fn morton_order(width: u32, height: u32, into: &mut Vec<[u16; 2]>) {
     into.clear();
-    let side = u64::from(width.max(height).next_power_of_two());
-    for code in 0..side * side {
-        let (x, y) = (every_other_bit(code), every_other_bit(code >> 1));
-        if x < width && y < height {
-            into.push([x as u16, y as u16]);
+    if width == 0 || height == 0 {
+        return;
+    }
+    into.push([0; 2]);
+    let mut side = 1;
+    while side < width.max(height) {
+        // The square of twice the side is four of this side in a row. What is outside of the tile here is so in all four.
+        let count = into.len();
+        for [right, down] in [[side, 0], [0, side], [side, side]] {
+            for index in 0..count {
+                let [x, y] = into[index].map(u32::from);
+                let (x, y) = (x + right, y + down);
+                if x < width && y < height {
+                    into.push([x as u16, y as u16]);
+                }
+            }
         }
+        side *= 2;
     }
-}
-
-/// Bits 0, 2, 4, ... of `code`, moved together.
-fn every_other_bit(code: u64) -> u32 {
-    let mut bits = code & 0x5555_5555_5555_5555;
-    for (shift, mask) in [
-        (1, 0x3333_3333_3333_3333u64),
-        (2, 0x0f0f_0f0f_0f0f_0f0f),
-        (4, 0x00ff_00ff_00ff_00ff),
-        (8, 0x0000_ffff_0000_ffff),
-        (16, 0xffff_ffff),
-    ] {
-        bits = (bits | bits >> shift) & mask;
-    }
-    bits as u32
 }
 
 #[cfg(test)]
@@ -129,6 +126,23 @@ mod tests {
                 }
             }
             assert!(seen.iter().all(|count| *count == 1), "{width} x {height} / {tile_size}");
+        }
+    }
+
+    #[test]
+    fn pixels_of_a_tile_follow_the_bits_of_their_place() {
+        // Even bits of the place in the curve are x, odd ones y.
+        let place = |[x, y]: [u16; 2]| {
+            (0..16)
+                .map(|bit| (u64::from(x >> bit & 1) | u64::from(y >> bit & 1) << 1) << (2 * bit))
+                .sum::<u64>()
+        };
+        for [width, height] in [[1, 1], [32, 32], [5, 32], [31, 2], [1, 300], [7, 0]] {
+            let mut pixels = Vec::new();
+            morton_order(width, height, &mut pixels);
+            assert_eq!(pixels.len(), (width * height) as usize);
+            assert!(pixels.iter().all(|[x, y]| u32::from(*x) < width && u32::from(*y) < height));
+            assert!(pixels.windows(2).all(|pair| place(pair[0]) < place(pair[1])), "{width} x {height}");
         }
     }
 

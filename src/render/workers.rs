@@ -2,22 +2,22 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
-use glam::DVec3;
 use parking_lot::Mutex;
 
-use super::adaptive::SampleBlocks;
 use super::counters::EffectCounters;
-use super::film::{Film, PixelCost, PixelStatistics};
+use super::film::Film;
 use super::paths::PathTracer;
 use super::progress::Progress;
 use super::query::RayQuery;
 use super::report::WorkerSeconds;
 use super::stage::Stage;
-use super::tiles::{Area, morton_order};
+use super::tile_samples::{FinishedTile, TileSamples};
+use super::tiles::Area;
+use super::waiting::{OpenedTile, PoolQuery, WaitingPlan, WaitingWorker};
 use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
-use crate::geom::round_up_f32;
 use crate::stats::TraceCounters;
+use crate::trace::LoadStats;
 use crate::units::TileId;
 
 /// What the workers did together.
@@ -26,6 +26,8 @@ pub(crate) struct Totals {
     pub effects: EffectCounters,
     pub trace: TraceCounters,
     pub seconds: WorkerSeconds,
+    /// How loads went where rays waited; of times, the sum over threads.
+    pub loads: LoadStats,
     pub tiles: u32,
     pub is_cancelled: bool,
 }
@@ -67,6 +69,37 @@ pub(crate) fn run<Q: RayQuery>(
     thresholds: &Thresholds<'_>,
     progress: &mut ProgressFn<'_>,
 ) -> Result<Totals, RenderError> {
+    share(stage, order, film, threads, thresholds, progress, &|shared| shared.work(make_query))
+}
+
+/// [`run`] with rays that wait for blocks: each thread has a pool of its own from `make_query`.
+///
+/// # Errors
+/// As for [`run`].
+#[expect(clippy::too_many_arguments, reason = "as `run`, and the plan")]
+pub(super) fn run_waiting<'o>(
+    stage: &Stage,
+    plan: &WaitingPlan,
+    order: &[u32],
+    film: &mut Film,
+    threads: &Threads,
+    make_query: &(dyn Fn() -> Result<PoolQuery<'o>, TraceError> + Sync),
+    thresholds: &Thresholds<'_>,
+    progress: &mut ProgressFn<'_>,
+) -> Result<Totals, RenderError> {
+    share(stage, order, film, threads, thresholds, progress, &|shared| shared.work_waiting(plan, make_query))
+}
+
+/// Has each thread `work` on the tiles of `order`.
+fn share(
+    stage: &Stage,
+    order: &[u32],
+    film: &mut Film,
+    threads: &Threads,
+    thresholds: &Thresholds<'_>,
+    progress: &mut ProgressFn<'_>,
+    work: &(dyn Fn(&Shared<'_>) + Sync),
+) -> Result<Totals, RenderError> {
     // A closure of its own ends the callback's lifetime with the shared state's.
     let mut progress = |state: Progress| progress(state);
     let shared = Shared {
@@ -83,7 +116,7 @@ pub(crate) fn run<Q: RayQuery>(
         totals: Mutex::new(Totals::default()),
         error: Mutex::new(None),
     };
-    on_threads(threads, &|| shared.work(make_query));
+    on_threads(threads, &|| work(&shared));
     if let Some((_, error)) = shared.error.into_inner() {
         return Err(error);
     }
@@ -123,13 +156,7 @@ impl Shared<'_> {
                 let Some(cell) = self.order.get(tile.0 as usize) else { break Ok(()) };
                 match worker.render_area_to(self.stage.grid.area(*cell), (self.thresholds)(tile)) {
                     Ok(true) => {
-                        let mut film = self.film.lock();
-                        film.set_tile(&self.stage.grid, *cell, worker.finished());
-                        film.set_statistics(&self.stage.grid, *cell, worker.statistics());
-                        film.set_costs(&self.stage.grid, *cell, worker.costs());
-                        drop(film);
-                        self.tiles.fetch_add(1, Ordering::Relaxed);
-                        self.report();
+                        self.finish(*cell, worker.finished());
                     }
                     Ok(false) => break Ok(()),
                     Err(error) => break Err(RenderError::from(error)),
@@ -141,6 +168,41 @@ impl Shared<'_> {
             totals.seconds.merge(&worker.paths.seconds);
             result
         });
+        self.end(tile, result);
+    }
+
+    /// [`Shared::work`] with rays that wait.
+    fn work_waiting<'o>(
+        &self,
+        plan: &WaitingPlan,
+        make_query: &(dyn Fn() -> Result<PoolQuery<'o>, TraceError> + Sync),
+    ) {
+        let _stop_on_panic = StopOnPanic(&self.stop);
+        let mut tile = TileId(0);
+        let result = make_query().and_then(|query| {
+            let mut worker = WaitingWorker::new(self, self.stage, plan, query);
+            let mut next_tile = || {
+                let id = TileId(self.next.fetch_add(1, Ordering::Relaxed));
+                let cell = *self.order.get(id.0 as usize)?;
+                Some(OpenedTile { id, cell, threshold: (self.thresholds)(id) })
+            };
+            let result = worker.run(&mut next_tile, &|cell, finished| self.finish(cell, finished));
+            tile = worker.tile();
+            let mut totals = self.totals.lock();
+            totals.effects.merge(&worker.effects());
+            totals.trace.merge(&worker.trace());
+            totals.seconds.merge(&worker.seconds());
+            let loads = worker.loads();
+            totals.loads.loading += loads.loading;
+            totals.loads.stall += loads.stall;
+            totals.loads.in_flight_peak = totals.loads.in_flight_peak.max(loads.in_flight_peak);
+            result.map(|_| ())
+        });
+        self.end(tile, result.map_err(RenderError::from));
+    }
+
+    /// How a worker ended; `tile` is the one that it was at.
+    fn end(&self, tile: TileId, result: Result<(), RenderError>) {
         if let Err(error) = result {
             self.stop.store(true, Ordering::Relaxed);
             let mut first = self.error.lock();
@@ -148,6 +210,17 @@ impl Shared<'_> {
                 *first = Some((tile, error));
             }
         }
+    }
+
+    /// Puts a finished tile on the film.
+    fn finish(&self, cell: u32, tile: &FinishedTile) {
+        let mut film = self.film.lock();
+        film.set_tile(&self.stage.grid, cell, &tile.pixels);
+        film.set_statistics(&self.stage.grid, cell, &tile.statistics);
+        film.set_costs(&self.stage.grid, cell, &tile.costs);
+        drop(film);
+        self.tiles.fetch_add(1, Ordering::Relaxed);
+        self.report();
     }
 
     /// Tells the caller how far the render is, unless another worker is just doing that.
@@ -170,25 +243,6 @@ impl Shared<'_> {
 fn samples_total(stage: &Stage) -> u64 {
     let settings = &stage.settings;
     u64::from(settings.width) * u64::from(settings.height) * u64::from(settings.samples_per_pixel)
-}
-
-/// The pixels of a tile while samples are added.
-#[derive(Default)]
-struct Tile {
-    /// In the order in which they are traced, as offsets from the corner of the tile's surroundings.
-    pixels: Vec<[u16; 2]>,
-    /// Sum of samples per pixel, in that order.
-    sums: Vec<DVec3>,
-    /// The same in blocks, in that order; only if errors are asked for.
-    blocks: Vec<SampleBlocks>,
-    /// What their rays took, in that order; only if it is asked for.
-    costs: Vec<PixelCost>,
-    /// Contrast with the neighbours, in that order; only with adaptive sampling.
-    contrasts: Vec<DVec3>,
-    /// Index of each pixel, row by row; only with adaptive sampling.
-    places: Vec<u32>,
-    /// Pixels that get the next samples.
-    active: Vec<u32>,
 }
 
 /// What a worker tells while it is inside a tile, and asks.
@@ -222,30 +276,8 @@ pub(crate) struct Worker<'s, W, Q> {
     pub watch: W,
     stage: &'s Stage,
     paths: PathTracer<'s, Q>,
-    tile: Tile,
-    /// The tile's pixels row by row.
-    finished: Vec<[f32; 3]>,
-    /// Beside them; only if they are kept.
-    statistics: Vec<PixelStatistics>,
-    costs: Vec<PixelCost>,
-}
-
-/// What must be known to trace samples of a tile.
-#[derive(Clone, Copy)]
-struct Place {
-    /// The tile itself.
-    area: Area,
-    /// The tile and what is traced around it.
-    ground: Area,
-}
-
-impl Place {
-    /// Whether a pixel of the ground belongs to the tile.
-    fn is_own(&self, [x, y]: [u16; 2]) -> bool {
-        let (x, y) = (self.ground.x + u32::from(x), self.ground.y + u32::from(y));
-        (self.area.x..self.area.x + self.area.width).contains(&x)
-            && (self.area.y..self.area.y + self.area.height).contains(&y)
-    }
+    tile: TileSamples,
+    finished: FinishedTile,
 }
 
 impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
@@ -254,26 +286,14 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
             watch,
             stage,
             paths: PathTracer::new(stage, query),
-            tile: Tile::default(),
-            finished: Vec::new(),
-            statistics: Vec::new(),
-            costs: Vec::new(),
+            tile: TileSamples::default(),
+            finished: FinishedTile::default(),
         }
     }
 
-    /// The pixels of the area that was rendered last, row by row.
-    pub fn finished(&self) -> &[[f32; 3]] {
+    /// The area that was rendered last.
+    pub fn finished(&self) -> &FinishedTile {
         &self.finished
-    }
-
-    /// What is known of their errors; empty if it was not asked for.
-    pub fn statistics(&self) -> &[PixelStatistics] {
-        &self.statistics
-    }
-
-    /// What they took; empty if it was not asked for.
-    pub fn costs(&self) -> &[PixelCost] {
-        &self.costs
     }
 
     /// Rays by effect so far.
@@ -289,53 +309,25 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
     /// Renders an area of at most a tile's size, with an error threshold other than that of the settings if there is one; false if the
     /// render was stopped before its end.
     pub fn render_area_to(&mut self, area: Area, threshold: Option<f64>) -> Result<bool, TraceError> {
-        let stage = self.stage;
-        let settings = &stage.settings;
-        let ground = if settings.adaptive.is_some() { stage.grid.surroundings(&area) } else { area };
-        let place = Place { area, ground };
-        let tile = &mut self.tile;
-        morton_order(ground.width, ground.height, &mut tile.pixels);
-        let count = tile.pixels.len();
-        tile.sums.clear();
-        tile.sums.resize(count, DVec3::ZERO);
-        tile.blocks.clear();
-        tile.blocks.resize(if keeps_blocks(stage) { count } else { 0 }, SampleBlocks::EMPTY);
-        tile.costs.clear();
-        tile.costs.resize(if settings.keep_costs { count } else { 0 }, PixelCost::default());
-        tile.contrasts.clear();
-        tile.active.clear();
-        tile.active.extend(0..count as u32);
-        let most = settings.samples_per_pixel;
-        let mut samples = settings.adaptive.map_or(most, |adaptive| adaptive.samples_min);
-        if !self.trace_samples(&place, 0, samples)? {
-            return Ok(false);
-        }
-        if let Some(adaptive) = settings.adaptive {
-            self.tile.look_around(&place);
-            let deviation = threshold.unwrap_or(adaptive.error) / adaptive.quantile();
-            loop {
-                let Tile { active, blocks, contrasts, .. } = &mut self.tile;
-                active
-                    .retain(|&index| blocks[index as usize].deviation(contrasts[index as usize]) > deviation);
-                if active.is_empty() || samples >= most {
-                    break;
-                }
-                if !self.trace_samples(&place, samples, samples)? {
-                    return Ok(false);
-                }
-                samples *= 2;
+        self.tile.begin(self.stage, area);
+        loop {
+            if !self.trace_round()? {
+                return Ok(false);
+            }
+            if !self.tile.next_round(self.stage, threshold) {
+                break;
             }
         }
-        self.finish(&place);
+        // Samples that need not be taken are as good as done.
+        self.watch.add_samples(self.tile.finish(self.stage, &mut self.finished));
         Ok(true)
     }
 
-    /// Traces samples `first .. first + count` of the active pixels; false if the render was stopped before the end.
-    fn trace_samples(&mut self, place: &Place, first: u32, count: u32) -> Result<bool, TraceError> {
+    /// Traces the samples of a round; false if the render was stopped before the end.
+    fn trace_round(&mut self) -> Result<bool, TraceError> {
         let stage = self.stage;
-        let Tile { pixels, sums, blocks, costs, active, .. } = &mut self.tile;
-        let per_pixel = u64::from(count);
-        let total = active.len() as u64 * per_pixel;
+        let tile = &mut self.tile;
+        let total = tile.round_total();
         let mut start = 0;
         while start < total {
             if self.watch.is_stopped() {
@@ -344,30 +336,18 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
             let mut end = total.min(start + self.paths.batch_samples as u64);
             if stage.settings.keep_costs {
                 // No further than the pixel.
-                end = end.min((start / per_pixel + 1) * per_pixel);
+                end = end.min((start / tile.per_pixel() + 1) * tile.per_pixel());
             }
             let before = stage.settings.keep_costs.then(|| self.paths.query.counters());
-            let rays = (start..end).map(|index| {
-                let [x, y] = pixels[active[(index / per_pixel) as usize] as usize].map(u32::from);
-                // Below `samples_per_pixel`, a u32.
-                let sample = first + (index % per_pixel) as u32;
-                stage.pixel_sample(place.ground.x + x, place.ground.y + y, sample)
-            });
-            self.paths.trace(rays)?;
+            self.paths.trace((start..end).map(|index| tile.sample(stage, index)))?;
             if let Some(before) = before {
-                let pixel = active[(start / per_pixel) as usize] as usize;
-                costs[pixel].add(&before, &self.paths.query.counters());
+                tile.add_cost(start, &before, &self.paths.query.counters());
             }
             let mut own = 0;
             for (index, (radiance, lost)) in
                 (start..end).zip(self.paths.radiance().iter().zip(self.paths.lost()))
             {
-                let pixel = active[(index / per_pixel) as usize] as usize;
-                sums[pixel] += *radiance;
-                if let Some(blocks) = blocks.get_mut(pixel) {
-                    blocks.add(*radiance, *lost);
-                }
-                own += u64::from(place.is_own(pixels[pixel]));
+                own += u64::from(tile.add(index, *radiance, *lost));
             }
             self.watch.add_samples(own);
             start = end;
@@ -377,91 +357,6 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
         }
         Ok(true)
     }
-
-    /// Brings the tile's pixels into the order of the film.
-    fn finish(&mut self, place: &Place) {
-        let Tile { pixels, sums, blocks, costs, contrasts, .. } = &self.tile;
-        let settings = &self.stage.settings;
-        let area = &place.area;
-        let count = area.width as usize * area.height as usize;
-        self.finished.clear();
-        self.finished.resize(count, [0.0; 3]);
-        self.statistics.clear();
-        self.statistics.resize(if settings.keep_statistics { count } else { 0 }, PixelStatistics::NONE);
-        self.costs.clear();
-        self.costs.resize(if settings.keep_costs { count } else { 0 }, PixelCost::default());
-        let mut saved = 0;
-        for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {
-            let [x, y] = pixel.map(u32::from);
-            let (x, y) = (place.ground.x + x - area.x, place.ground.y + y - area.y);
-            let to = y as usize * area.width as usize + x as usize;
-            let samples = blocks.get(index).map_or(settings.samples_per_pixel, SampleBlocks::samples);
-            saved += u64::from(settings.samples_per_pixel - samples);
-            self.finished[to] = to_f32(sums[index] / f64::from(samples));
-            if let Some(cost) = self.costs.get_mut(to) {
-                *cost = costs[index];
-            }
-            if let Some(statistics) = self.statistics.get_mut(to) {
-                let contrast = contrasts.get(index).copied().unwrap_or(DVec3::ZERO);
-                *statistics = PixelStatistics {
-                    samples,
-                    deviation: blocks[index].deviation(contrast) as f32,
-                    half_difference: to_f32(blocks[index].half_difference()),
-                    lost: round_up_f32(blocks[index].lost()),
-                };
-            }
-        }
-        // Samples that need not be taken are as good as done.
-        self.watch.add_samples(saved);
-    }
-}
-
-impl Tile {
-    /// After the first samples: measures contrasts, and leaves only the tile's own pixels active.
-    fn look_around(&mut self, place: &Place) {
-        let (width, height) = (place.ground.width as usize, place.ground.height as usize);
-        self.places.clear();
-        self.places.resize(width * height, 0);
-        for (index, [x, y]) in self.pixels.iter().enumerate() {
-            self.places[usize::from(*y) * width + usize::from(*x)] = index as u32;
-        }
-        let (blocks, places) = (&self.blocks, &self.places);
-        let range = |x: usize, y: usize| blocks[places[y * width + x] as usize].range();
-        self.contrasts.extend(self.pixels.iter().map(|pixel| {
-            if !place.is_own(*pixel) {
-                return DVec3::ZERO;
-            }
-            let [x, y] = pixel.map(usize::from);
-            contrast([width, height], [x, y], range)
-        }));
-        let pixels = &self.pixels;
-        self.active.retain(|&index| place.is_own(pixels[index as usize]));
-    }
-}
-
-/// How far the samples of a pixel and its neighbours lie apart, per channel; `range` is the least and the greatest of each.
-pub(super) fn contrast(
-    [width, height]: [usize; 2],
-    [x, y]: [usize; 2],
-    range: impl Fn(usize, usize) -> [DVec3; 2],
-) -> DVec3 {
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for y in y.saturating_sub(1)..height.min(y + 2) {
-        for x in x.saturating_sub(1)..width.min(x + 2) {
-            let [least, greatest] = range(x, y);
-            (low, high) = (low.min(least), high.max(greatest));
-        }
-    }
-    high - low
-}
-
-/// Whether samples are kept in blocks.
-fn keeps_blocks(stage: &Stage) -> bool {
-    stage.settings.adaptive.is_some() || stage.settings.keep_statistics
-}
-
-fn to_f32(colour: DVec3) -> [f32; 3] {
-    colour.to_array().map(|channel| channel as f32)
 }
 
 /// How many workers `threads` stands for.
@@ -475,20 +370,7 @@ pub(crate) fn worker_count(threads: &Threads) -> usize {
 
 /// What each worker's tile takes, in bytes.
 pub(crate) fn tile_bytes(stage: &Stage) -> usize {
-    let settings = &stage.settings;
-    let is_adaptive = settings.adaptive.is_some();
-    let border = if is_adaptive { 2 } else { 0 };
-    let pixels = |border: u32| {
-        let side = settings.tile_size + border;
-        side.min(settings.width) as usize * side.min(settings.height) as usize
-    };
-    let blocks = if keeps_blocks(stage) { size_of::<SampleBlocks>() } else { 0 };
-    let adaptive = if is_adaptive { size_of::<DVec3>() + size_of::<u32>() } else { 0 };
-    let statistics = if settings.keep_statistics { size_of::<PixelStatistics>() } else { 0 };
-    let costs = if settings.keep_costs { size_of::<PixelCost>() } else { 0 };
-    pixels(border)
-        * (size_of::<[u16; 2]>() + size_of::<DVec3>() + size_of::<u32>() + blocks + costs + adaptive)
-        + pixels(0) * (size_of::<[f32; 3]>() + statistics + costs)
+    TileSamples::bytes_needed(stage) + FinishedTile::bytes_needed(stage)
 }
 
 struct StopOnPanic<'s>(&'s AtomicBool);

@@ -235,6 +235,20 @@ impl<'o> RayPool<'o> {
         self.suspended.count()
     }
 
+    /// How many more can wait; beyond that, rays load what they need, depth first.
+    pub(crate) fn room(&self) -> u32 {
+        self.suspended.room()
+    }
+
+    /// Lets a tracer answer at once, loading what is missing on this thread: for rays that follow each other through the same blocks. What it
+    /// loads, the rays that wait have at no cost.
+    pub(crate) fn at_once<R>(&mut self, ask: impl FnOnce(&mut Tracer<'o>) -> R) -> R {
+        self.tracer.pins.loads = true;
+        let answer = ask(&mut self.tracer);
+        self.note_loaded();
+        answer
+    }
+
     /// Whether it is better to add rays, if there are any, than to load a block for those that wait.
     pub fn wants_rays(&self) -> bool {
         self.suspended.count() < self.wanted.max(1)

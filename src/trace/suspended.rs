@@ -109,6 +109,11 @@ impl SuspendedRays {
         self.count
     }
 
+    /// How many more can.
+    pub fn room(&self) -> u32 {
+        self.capacity - self.count
+    }
+
     /// The most that ever waited.
     pub fn peak(&self) -> u32 {
         self.peak

@@ -19,7 +19,7 @@ use super::working_file::WorkingFile;
 use crate::block::checksum;
 use crate::budget::{Allowance, MemoryBudget, Reservation};
 use crate::error::{CompileError, ModelError};
-use crate::import::{ImportReport, source_record};
+use crate::import::{ImportOptions, ImportReport, source_record};
 use crate::model::{
     BlockEntry, CellEntry, CellRecord, Model, SourceRecord, WORKING_HEADER_BYTES, WorkingHeader,
     WorkingOptions,
@@ -186,20 +186,13 @@ impl LazyModel {
             compiler.leave_attributes_out();
         };
         let ending = KeepCells::of(working, options);
-        read_file(
-            input,
-            output,
-            source,
-            &options.compile,
-            budget,
-            progress,
-            &mut prepare,
-            |compiler, import| {
-                let mut model = compiler.end(ending)?;
-                model.import = Some(import);
-                Ok(model)
-            },
-        )
+        let end = |compiler: Compiler<'_>, import| {
+            let mut model = compiler.end(ending)?;
+            model.import = Some(import);
+            Ok(model)
+        };
+        let import = ImportOptions::default();
+        read_file(input, &import, output, source, &options.compile, budget, progress, &mut prepare, end)
     }
 
     /// The same for geometry that is no file: `emit` sends it to the compiler, unless there is a working file. `source` is to

@@ -73,6 +73,27 @@ impl Elements {
         Elements::new(opened, &accessor, name()).map(Some)
     }
 
+    /// Vectors of `numbers` numbers that say where copies are: f32, or for rotations normalized signed integers.
+    pub fn of_copies(
+        opened: &Opened,
+        accessor: &Accessor<'_>,
+        name: String,
+        numbers: usize,
+    ) -> Result<Elements, ImportError> {
+        let is_number = match accessor.data_type() {
+            DataType::F32 => true,
+            DataType::I8 | DataType::I16 => numbers == 4 && accessor.normalized(),
+            _ => false,
+        };
+        if accessor.dimensions().multiplicity() != numbers
+            || !matches!(accessor.dimensions(), Dimensions::Vec3 | Dimensions::Vec4)
+            || !is_number
+        {
+            return Err(opened.error(name, "it must have three floats, or four for rotations"));
+        }
+        Elements::new(opened, accessor, name)
+    }
+
     fn new(opened: &Opened, accessor: &Accessor<'_>, name: String) -> Result<Elements, ImportError> {
         if accessor.sparse().is_some() {
             return Err(opened.error(name, "sparse accessors are not supported; write the file without them"));

@@ -159,9 +159,11 @@ fn binary_chunk(path: &Path, file: &mut File, range: Range<u64>) -> Result<Optio
 fn parse(path: &Path, offset: u64, json: &[u8]) -> Result<Document, ImportError> {
     let refused =
         |element: String, reason: String| ImportError::Element { path: path.to_path_buf(), element, reason };
-    let root: Root = gltf::json::deserialize::from_slice(json).map_err(|error| {
+    let mut root: Root = gltf::json::deserialize::from_slice(json).map_err(|error| {
         byte_error(path, offset, format!("the JSON text is no document of glTF 2.0: {error}"))
     })?;
+    // The crate does not know it, but its nodes are read here.
+    root.extensions_required.retain(|extension| extension != super::copies::NAME);
     if let Some((element, reason)) = missing(&root) {
         return Err(refused(element, reason.into()));
     }

@@ -2,15 +2,17 @@
 //!
 //! A scene is a tree of nodes that place meshes. Each placement is read as geometry of its own: its positions are multiplied by
 //! the node's matrix in f64 and its triangles get ids in the order of the tree, so a mesh that is placed twice is there
-//! twice. Only the JSON text is held in memory ([`JSON_BYTES_MAX`] at most); buffers are read in pieces.
+//! twice, unless only a part is asked for ([`GltfPart`]). Only the JSON text is held in memory ([`JSON_BYTES_MAX`] at most); buffers are read in pieces.
 //!
 //! Normals and the first set of texture coordinates go along, if the sink takes them. Skins and morph targets stay at rest; the report says
 //! so, and what else was left out.
 
 mod accessor;
 mod bytes;
+mod copies;
 mod document;
 mod material;
+mod part;
 mod placement;
 
 use std::path::{Path, PathBuf};
@@ -22,6 +24,7 @@ use self::accessor::Elements;
 use self::bytes::Bytes;
 pub use self::document::JSON_BYTES_MAX;
 pub(crate) use self::document::Opened;
+pub use self::part::{GltfMesh, GltfPart, gltf_meshes};
 pub(crate) use self::placement::visit;
 use self::placement::{Placed, placements};
 use super::feed::Feed;
@@ -30,7 +33,7 @@ use super::sink::{MeshSink, NO_INDEX};
 use crate::error::ImportError;
 use crate::units::MaterialId;
 
-/// Reads the default scene of a file, or the first one, into `sink`.
+/// Reads the default scene of a file, or the first one, or a part of it, into `sink`.
 ///
 /// # Errors
 /// [`ImportError::Io`] for the file or a buffer that it names, [`ImportError::Byte`] for a container that makes no sense,
@@ -44,8 +47,8 @@ pub(super) fn read(
     let mut bytes = Bytes::new(&opened);
     let mut feed = Feed::new(sink);
     let mut materials = Materials::new(path, options, &mut feed)?;
-    let placed: Vec<Placed<'_>> = placements(&opened)?;
-    let total: u64 = placed.iter().map(|placed| placed.bytes).sum();
+    let placed: Vec<Placed<'_>> = placements(&opened, &mut bytes, &options.gltf_part)?;
+    let total = placed.iter().fold(0u64, |total, placed| total.saturating_add(placed.bytes));
     let mut progress = (0, Some(total));
 
     // Vertices first: a sink that knows them all places triangles as they come.

@@ -5,13 +5,20 @@ use gltf::mesh::Mode;
 use gltf::scene::Transform;
 use gltf::{Node, Primitive, Scene, Semantic};
 
+use super::bytes::Bytes;
+use super::copies::copies;
 use super::document::Opened;
+use super::part::GltfPart;
 use crate::error::ImportError;
+use crate::geom::Affine;
 
 /// A primitive of a mesh where a node puts it.
 pub(super) struct Placed<'d> {
     pub primitive: Primitive<'d>,
-    mesh: usize,
+    /// The mesh's number.
+    pub mesh: usize,
+    /// Whether it is the first of its mesh there.
+    pub is_first: bool,
     /// From the primitive's space to the scene's.
     matrix: DMat4,
     pub vertex_count: u64,
@@ -25,6 +32,12 @@ impl Placed<'_> {
     /// Where it stands in the document.
     pub fn name(&self) -> String {
         format!("meshes[{}].primitives[{}]", self.mesh, self.primitive.index())
+    }
+
+    /// The matrix, as instances have it.
+    pub fn affine(&self) -> Affine {
+        let [x, y, z, shift] = self.matrix.to_cols_array_2d();
+        Affine::from_rows([0, 1, 2].map(|axis| [x[axis], y[axis], z[axis], shift[axis]]))
     }
 
     /// Whether nothing moves.
@@ -107,29 +120,63 @@ pub(crate) fn visit<'d>(
     Ok(())
 }
 
-/// The triangles of the scene, in the order of its nodes.
-pub(super) fn placements(opened: &Opened) -> Result<Vec<Placed<'_>>, ImportError> {
+/// Most primitives that a scene may place: some 250 MB of what is known of them.
+pub(super) const PLACED_MAX: usize = 1 << 20;
+
+/// The triangles of a part of the scene, in the order of its nodes.
+pub(super) fn placements<'d>(
+    opened: &'d Opened,
+    bytes: &mut Bytes<'_>,
+    part: &GltfPart,
+) -> Result<Vec<Placed<'d>>, ImportError> {
     let mut placed = Vec::new();
+    let mut is_done = false;
     visit(opened, |node, matrix| {
         let Some(mesh) = node.mesh() else { return Ok(()) };
-        for primitive in mesh.primitives() {
-            if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
-                continue;
+        if !part.has(mesh.index()) {
+            return Ok(());
+        }
+        let mut places = vec![matrix];
+        if let Some(copies) = copies(opened, node, bytes)? {
+            places = copies.into_iter().map(|copy| matrix * copy).collect();
+            if !places.iter().all(DMat4::is_finite) {
+                return Err(opened.error(format!("nodes[{}]", node.index()), "a copy's matrix is not finite"));
             }
-            let element = || format!("meshes[{}].primitives[{}]", mesh.index(), primitive.index());
-            for extension in ["KHR_draco_mesh_compression", "EXT_meshopt_compression"] {
-                if primitive.extension_value(extension).is_some() {
-                    return Err(opened.error(element(), format!("{extension} is not supported")));
+        }
+        if let GltfPart::Mesh(_) = part {
+            // By itself, and once.
+            places.truncate(usize::from(!is_done));
+            places.fill(DMat4::IDENTITY);
+            is_done |= !places.is_empty();
+        }
+        let primitive_count = places.len().saturating_mul(mesh.primitives().len());
+        if primitive_count > PLACED_MAX - placed.len() {
+            let reason = format!("the scene places more than {PLACED_MAX} primitives; split the file");
+            return Err(opened.error(format!("nodes[{}]", node.index()), reason));
+        }
+        for matrix in places {
+            let mut is_first = true;
+            for primitive in mesh.primitives() {
+                if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
+                    continue;
                 }
+                let element = || format!("meshes[{}].primitives[{}]", mesh.index(), primitive.index());
+                for extension in ["KHR_draco_mesh_compression", "EXT_meshopt_compression"] {
+                    if primitive.extension_value(extension).is_some() {
+                        return Err(opened.error(element(), format!("{extension} is not supported")));
+                    }
+                }
+                let bytes = |accessor: gltf::Accessor<'_>| {
+                    (accessor.count() as u64).saturating_mul(accessor.size() as u64)
+                };
+                let Some(positions) = primitive.get(&Semantic::Positions) else { continue };
+                let vertex_count = positions.count() as u64;
+                let bytes = bytes(positions).saturating_add(primitive.indices().map_or(0, bytes));
+                let is_skinned = node.skin().is_some();
+                let mesh = mesh.index();
+                placed.push(Placed { primitive, mesh, is_first, matrix, vertex_count, is_skinned, bytes });
+                is_first = false;
             }
-            let bytes = |accessor: gltf::Accessor<'_>| {
-                (accessor.count() as u64).saturating_mul(accessor.size() as u64)
-            };
-            let Some(positions) = primitive.get(&Semantic::Positions) else { continue };
-            let vertex_count = positions.count() as u64;
-            let bytes = bytes(positions).saturating_add(primitive.indices().map_or(0, bytes));
-            let is_skinned = node.skin().is_some();
-            placed.push(Placed { primitive, mesh: mesh.index(), matrix, vertex_count, is_skinned, bytes });
         }
         Ok(())
     })?;

@@ -86,7 +86,7 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
     }
 
     /// Whether the surface is not there at a hit.
-    fn is_cut_out(&mut self, hit: &Hit) -> Result<bool, TraceError> {
+    pub(in crate::render) fn is_cut_out(&mut self, hit: &Hit) -> Result<bool, TraceError> {
         let MaterialMaps { cut_out, .. } = *self.stage.maps(hit.material);
         let Some(CutOut { map, channel }) = cut_out else { return Ok(false) };
         self.counters.cutout_tests += 1;

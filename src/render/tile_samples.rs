@@ -1,0 +1,262 @@
+//! The pixels of a tile while samples are added to them: in rounds, where sampling is adaptive.
+//!
+//! A round is a list of samples, pixel by pixel; whoever traces them gives them back in that order, so that every pixel sums up its samples in
+//! the same order whoever that is (I2).
+
+use glam::DVec3;
+
+use super::adaptive::SampleBlocks;
+use super::film::{PixelCost, PixelStatistics};
+use super::stage::{CameraSample, Stage};
+use super::tiles::{Area, morton_order};
+use crate::geom::round_up_f32;
+use crate::stats::TraceCounters;
+
+/// What must be known to trace samples of a tile.
+#[derive(Clone, Copy, Default)]
+struct Place {
+    /// The tile itself.
+    area: Area,
+    /// The tile and what is traced around it.
+    ground: Area,
+}
+
+impl Place {
+    /// Whether a pixel of the ground belongs to the tile.
+    fn is_own(&self, [x, y]: [u16; 2]) -> bool {
+        let (x, y) = (self.ground.x + u32::from(x), self.ground.y + u32::from(y));
+        (self.area.x..self.area.x + self.area.width).contains(&x)
+            && (self.area.y..self.area.y + self.area.height).contains(&y)
+    }
+}
+
+/// See the module's text.
+#[derive(Default)]
+pub(super) struct TileSamples {
+    place: Place,
+    /// In the order in which they are traced, as offsets from the corner of the tile's surroundings.
+    pixels: Vec<[u16; 2]>,
+    /// Sum of samples per pixel, in that order.
+    sums: Vec<DVec3>,
+    /// The same in blocks, in that order; only if errors are asked for.
+    blocks: Vec<SampleBlocks>,
+    /// What their rays took, in that order; only if it is asked for.
+    costs: Vec<PixelCost>,
+    /// Contrast with the neighbours, in that order; only with adaptive sampling.
+    contrasts: Vec<DVec3>,
+    /// Index of each pixel, row by row; only with adaptive sampling.
+    places: Vec<u32>,
+    /// Pixels that get the samples of this round.
+    active: Vec<u32>,
+    /// The round gives each of them samples `first .. first + per_pixel`.
+    first: u32,
+    per_pixel: u32,
+}
+
+/// The pixels of a finished tile, row by row.
+#[derive(Default)]
+pub(super) struct FinishedTile {
+    pub pixels: Vec<[f32; 3]>,
+    /// Beside them; only if they are kept.
+    pub statistics: Vec<PixelStatistics>,
+    pub costs: Vec<PixelCost>,
+}
+
+impl TileSamples {
+    /// Begins the first round of an area of at most a tile's size.
+    pub fn begin(&mut self, stage: &Stage, area: Area) {
+        let settings = &stage.settings;
+        let ground = if settings.adaptive.is_some() { stage.grid.surroundings(&area) } else { area };
+        self.place = Place { area, ground };
+        morton_order(ground.width, ground.height, &mut self.pixels);
+        let count = self.pixels.len();
+        self.sums.clear();
+        self.sums.resize(count, DVec3::ZERO);
+        self.blocks.clear();
+        self.blocks.resize(if keeps_blocks(stage) { count } else { 0 }, SampleBlocks::EMPTY);
+        self.costs.clear();
+        self.costs.resize(if settings.keep_costs { count } else { 0 }, PixelCost::default());
+        self.contrasts.clear();
+        self.active.clear();
+        self.active.extend(0..count as u32);
+        self.first = 0;
+        self.per_pixel =
+            settings.adaptive.map_or(settings.samples_per_pixel, |adaptive| adaptive.samples_min);
+    }
+
+    /// Samples of this round.
+    pub fn round_total(&self) -> u64 {
+        self.active.len() as u64 * u64::from(self.per_pixel)
+    }
+
+    /// Samples of the same pixel lie this far apart at most, in a round.
+    pub fn per_pixel(&self) -> u64 {
+        u64::from(self.per_pixel)
+    }
+
+    /// A sample of this round.
+    pub fn sample(&self, stage: &Stage, index: u64) -> CameraSample {
+        let per_pixel = u64::from(self.per_pixel);
+        let [x, y] = self.pixels[self.active[(index / per_pixel) as usize] as usize].map(u32::from);
+        // Below `samples_per_pixel`, a u32.
+        let sample = self.first + (index % per_pixel) as u32;
+        stage.pixel_sample(self.place.ground.x + x, self.place.ground.y + y, sample)
+    }
+
+    /// Takes in what became of a sample; to be called in their order. Whether its pixel belongs to the tile.
+    #[inline]
+    pub fn add(&mut self, index: u64, radiance: DVec3, lost: f64) -> bool {
+        let pixel = self.active[(index / u64::from(self.per_pixel)) as usize] as usize;
+        self.sums[pixel] += radiance;
+        if let Some(blocks) = self.blocks.get_mut(pixel) {
+            blocks.add(radiance, lost);
+        }
+        self.place.is_own(self.pixels[pixel])
+    }
+
+    /// Books what was done between two looks at the counters for the pixel of a sample of this round.
+    pub fn add_cost(&mut self, index: u64, before: &TraceCounters, after: &TraceCounters) {
+        let pixel = self.active[(index / u64::from(self.per_pixel)) as usize] as usize;
+        self.costs[pixel].add(before, after);
+    }
+
+    /// Begins another round for pixels whose error is above `threshold` (that of the settings if there is none); false if there are none, or
+    /// they have all samples that they may have.
+    pub fn next_round(&mut self, stage: &Stage, threshold: Option<f64>) -> bool {
+        let Some(adaptive) = stage.settings.adaptive else { return false };
+        if self.first == 0 {
+            self.look_around();
+        }
+        let deviation = threshold.unwrap_or(adaptive.error) / adaptive.quantile();
+        let TileSamples { active, blocks, contrasts, .. } = self;
+        active.retain(|&index| blocks[index as usize].deviation(contrasts[index as usize]) > deviation);
+        let samples = self.first + self.per_pixel;
+        if self.active.is_empty() || samples >= stage.settings.samples_per_pixel {
+            return false;
+        }
+        // As many again as there were.
+        (self.first, self.per_pixel) = (samples, samples);
+        true
+    }
+
+    /// After the first samples: measures contrasts, and leaves only the tile's own pixels active.
+    fn look_around(&mut self) {
+        let place = self.place;
+        let (width, height) = (place.ground.width as usize, place.ground.height as usize);
+        self.places.clear();
+        self.places.resize(width * height, 0);
+        for (index, [x, y]) in self.pixels.iter().enumerate() {
+            self.places[usize::from(*y) * width + usize::from(*x)] = index as u32;
+        }
+        let (blocks, places) = (&self.blocks, &self.places);
+        let range = |x: usize, y: usize| blocks[places[y * width + x] as usize].range();
+        self.contrasts.extend(self.pixels.iter().map(|pixel| {
+            if !place.is_own(*pixel) {
+                return DVec3::ZERO;
+            }
+            let [x, y] = pixel.map(usize::from);
+            contrast([width, height], [x, y], range)
+        }));
+        let pixels = &self.pixels;
+        self.active.retain(|&index| place.is_own(pixels[index as usize]));
+    }
+
+    /// Brings the tile's pixels into the order of the film. Returns how many samples were not needed.
+    pub fn finish(&self, stage: &Stage, finished: &mut FinishedTile) -> u64 {
+        let TileSamples { place, pixels, sums, blocks, costs, contrasts, .. } = self;
+        let settings = &stage.settings;
+        let area = &place.area;
+        let count = area.width as usize * area.height as usize;
+        finished.pixels.clear();
+        finished.pixels.resize(count, [0.0; 3]);
+        finished.statistics.clear();
+        finished.statistics.resize(if settings.keep_statistics { count } else { 0 }, PixelStatistics::NONE);
+        finished.costs.clear();
+        finished.costs.resize(if settings.keep_costs { count } else { 0 }, PixelCost::default());
+        let mut saved = 0;
+        for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {
+            let [x, y] = pixel.map(u32::from);
+            let (x, y) = (place.ground.x + x - area.x, place.ground.y + y - area.y);
+            let to = y as usize * area.width as usize + x as usize;
+            let samples = blocks.get(index).map_or(settings.samples_per_pixel, SampleBlocks::samples);
+            saved += u64::from(settings.samples_per_pixel - samples);
+            finished.pixels[to] = to_f32(sums[index] / f64::from(samples));
+            if let Some(cost) = finished.costs.get_mut(to) {
+                *cost = costs[index];
+            }
+            if let Some(statistics) = finished.statistics.get_mut(to) {
+                let contrast = contrasts.get(index).copied().unwrap_or(DVec3::ZERO);
+                *statistics = PixelStatistics {
+                    samples,
+                    deviation: blocks[index].deviation(contrast) as f32,
+                    half_difference: to_f32(blocks[index].half_difference()),
+                    lost: round_up_f32(blocks[index].lost()),
+                };
+            }
+        }
+        saved
+    }
+
+    /// What the lists of a tile take, in bytes, those of the finished tile apart.
+    pub fn bytes_needed(stage: &Stage) -> usize {
+        let settings = &stage.settings;
+        let is_adaptive = settings.adaptive.is_some();
+        let border = if is_adaptive { 2 } else { 0 };
+        let blocks = if keeps_blocks(stage) { size_of::<SampleBlocks>() } else { 0 };
+        let adaptive = if is_adaptive { size_of::<DVec3>() + size_of::<u32>() } else { 0 };
+        let costs = if settings.keep_costs { size_of::<PixelCost>() } else { 0 };
+        tile_pixels(stage, border)
+            * (size_of::<[u16; 2]>() + size_of::<DVec3>() + size_of::<u32>() + blocks + costs + adaptive)
+    }
+
+    /// Most samples of a round, saturated.
+    pub fn round_max(stage: &Stage) -> u32 {
+        let settings = &stage.settings;
+        let border = if settings.adaptive.is_some() { 2 } else { 0 };
+        u32::try_from(tile_pixels(stage, border))
+            .unwrap_or(u32::MAX)
+            .saturating_mul(settings.samples_per_pixel)
+    }
+}
+
+impl FinishedTile {
+    /// What the lists take, in bytes.
+    pub fn bytes_needed(stage: &Stage) -> usize {
+        let settings = &stage.settings;
+        let statistics = if settings.keep_statistics { size_of::<PixelStatistics>() } else { 0 };
+        let costs = if settings.keep_costs { size_of::<PixelCost>() } else { 0 };
+        tile_pixels(stage, 0) * (size_of::<[f32; 3]>() + statistics + costs)
+    }
+}
+
+/// Pixels of a tile and of so much more of both sides.
+fn tile_pixels(stage: &Stage, border: u32) -> usize {
+    let settings = &stage.settings;
+    let side = settings.tile_size + border;
+    side.min(settings.width) as usize * side.min(settings.height) as usize
+}
+
+/// How far the samples of a pixel and its neighbours lie apart, per channel; `range` is the least and the greatest of each.
+pub(super) fn contrast(
+    [width, height]: [usize; 2],
+    [x, y]: [usize; 2],
+    range: impl Fn(usize, usize) -> [DVec3; 2],
+) -> DVec3 {
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for y in y.saturating_sub(1)..height.min(y + 2) {
+        for x in x.saturating_sub(1)..width.min(x + 2) {
+            let [least, greatest] = range(x, y);
+            (low, high) = (low.min(least), high.max(greatest));
+        }
+    }
+    high - low
+}
+
+/// Whether samples are kept in blocks.
+fn keeps_blocks(stage: &Stage) -> bool {
+    stage.settings.adaptive.is_some() || stage.settings.keep_statistics
+}
+
+fn to_f32(colour: DVec3) -> [f32; 3] {
+    colour.to_array().map(|channel| channel as f32)
+}
