@@ -35,6 +35,7 @@ const SAFE: Duration = Duration::from_secs(1);
 
 /// A node ended before its work was done.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum NodeError {
     /// The transport failed.
     #[error(transparent)]

@@ -73,6 +73,7 @@ pub struct CopyCounters {
 
 /// There will be no copy; the node can do without.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CopyError {
     /// The disk.
     #[error("cannot write the copy {}: {error}", path.display())]
@@ -80,6 +81,7 @@ pub enum CopyError {
         /// The file.
         path: PathBuf,
         /// The cause; `StorageFull` if there was no room: then what was written is removed.
+        #[source]
         error: io::Error,
     },
     /// Something else has the copy's name.
