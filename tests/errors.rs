@@ -114,3 +114,13 @@ fn knobs_come_back_from_json_bit_for_bit() {
         }
     }
 }
+
+#[test]
+fn what_an_octree_is_can_be_printed() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = sphere(folder.path());
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let octree = LazyOctree::open(source, &budget, OctreeOptions::default()).unwrap();
+    let text = format!("{octree:?}");
+    assert!(text.contains("tier: Certified") && text.contains("tracers_max: 1"), "{text}");
+}

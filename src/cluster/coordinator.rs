@@ -661,3 +661,9 @@ pub enum CoordinatorError {
     #[error(transparent)]
     Transport(#[from] crate::error::TransportError),
 }
+
+impl std::fmt::Debug for Coordinator {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Coordinator").finish_non_exhaustive()
+    }
+}

@@ -721,3 +721,13 @@ fn work(counters: &TraceCounters) -> f64 {
         + 2.0 * counters.triangle_tests as f64
         + 30.0 * counters.decisions as f64
 }
+
+impl std::fmt::Debug for WorkerOptions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("WorkerOptions")
+            .field("name", &self.name)
+            .field("lanes", &self.lanes)
+            .field("octree", &self.octree)
+            .finish_non_exhaustive()
+    }
+}

@@ -740,3 +740,9 @@ impl From<ModelError> for FetchError {
         FetchError::Model(error)
     }
 }
+
+impl std::fmt::Debug for RemoteSource {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RemoteSource").finish_non_exhaustive()
+    }
+}

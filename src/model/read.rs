@@ -11,6 +11,7 @@ use crate::error::ModelError;
 const CHUNK_BYTES: usize = 512 * ENTRY_BYTES;
 
 /// Reads a model through a function that copies bytes of the file, so that every kind of source parses in the same way.
+#[derive(Clone, Copy, Debug)]
 pub struct ModelReader;
 
 impl ModelReader {

@@ -372,3 +372,15 @@ fn slots_that_fit(available: u64, slot_bytes: Bytes, block_count: u32, policy: P
     }
     fitting
 }
+
+impl std::fmt::Debug for LazyOctree {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LazyOctree")
+            .field("block_count", &self.block_count())
+            .field("slot_count", &self.cache.slot_count())
+            .field("leaf_layout", &self.leaf_layout())
+            .field("tier", &self.tier)
+            .field("tracers_max", &self.tracers_max)
+            .finish_non_exhaustive()
+    }
+}

@@ -528,3 +528,9 @@ fn since(before: &CacheStats, after: &CacheStats) -> CacheStats {
         filled_bytes: after.filled_bytes - before.filled_bytes,
     }
 }
+
+impl std::fmt::Debug for Renderer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Renderer").field("plan", &self.plan).finish_non_exhaustive()
+    }
+}

@@ -472,3 +472,9 @@ impl Kernel for Any<'_, '_> {
         Ok(())
     }
 }
+
+impl std::fmt::Debug for RayPool<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RayPool").finish_non_exhaustive()
+    }
+}

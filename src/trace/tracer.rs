@@ -354,3 +354,9 @@ pub(super) fn enter<S: Simd, Q: Query>(simd: S, octree: &LazyOctree, query: Q) -
     }
     simd.enter(Each::<Q, Selected>(query, PhantomData))
 }
+
+impl std::fmt::Debug for Tracer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Tracer").field("counters", &self.counters).finish_non_exhaustive()
+    }
+}
