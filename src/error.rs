@@ -188,6 +188,9 @@ pub enum SourceError {
         /// The file or other origin.
         name: String,
     },
+    /// The budget has no room for what is known of the model: its directory and materials.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
     /// The file is not a valid compiled file.
     #[error("{name}: {error}")]
     Model {

@@ -64,7 +64,7 @@ pub fn picture(
         meter.finish();
         summary.compiled(&model);
         sources.push(match &model.origin {
-            Origin::File(path) => crate::open(&options, path)?,
+            Origin::File(path) => crate::open(&options, path, budget)?,
             Origin::Lazy(model) => Arc::clone(model) as Arc<dyn BlockSource>,
         });
         compiled.push(model);

@@ -92,7 +92,7 @@ fn job(
         return Ok(ExitCode::SUCCESS);
     }
     let source = match &compiled.origin {
-        Origin::File(path) => (open(options, path)?, TreeQuality::Best),
+        Origin::File(path) => (open(options, path, budget)?, TreeQuality::Best),
         // Who is in a hurry for a first picture wants it traced soon, not fast.
         Origin::Lazy(model) => (Arc::clone(model) as Arc<dyn BlockSource>, TreeQuality::Quick),
     };
@@ -126,10 +126,14 @@ fn finish(
     })
 }
 
-fn open(options: &Options, path: &Path) -> Result<Arc<dyn BlockSource>, Box<dyn Error>> {
+fn open(
+    options: &Options,
+    path: &Path,
+    budget: &MemoryBudget,
+) -> Result<Arc<dyn BlockSource>, Box<dyn Error>> {
     Ok(match options.source {
-        SourceKind::Disk => Arc::new(DiskSource::open_with(path, PageCache::Bypass)?),
-        SourceKind::Cached => Arc::new(DiskSource::open_with(path, PageCache::Use)?),
+        SourceKind::Disk => Arc::new(DiskSource::open_in(path, PageCache::Bypass, budget)?),
+        SourceKind::Cached => Arc::new(DiskSource::open_in(path, PageCache::Use, budget)?),
         // SAFETY: the file was published whole under its name by a rename and this program does not write to it; a user
         // who truncates it during the render asks for the signal that the documentation of `open` promises.
         SourceKind::Mmap => Arc::new(unsafe { MmapSource::open(path) }?),

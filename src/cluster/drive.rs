@@ -513,7 +513,12 @@ impl Engine<'_> {
             }
             Some(file) => Some(Source::File(Arc::clone(file))),
             None if self.readers.iter().any(|reader| !reader.is_empty()) => {
-                let remote = RemoteSource::open(Arc::clone(data), self.readers.clone(), options.remote)?;
+                let remote = RemoteSource::open_in(
+                    Arc::clone(data),
+                    self.readers.clone(),
+                    options.remote,
+                    &options.budget,
+                )?;
                 Some(Source::Remote(Arc::new(remote)))
             }
             None => None,
