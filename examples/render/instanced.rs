@@ -106,5 +106,5 @@ fn with_textures(
         .into());
     }
     let materials: Vec<_> = models.iter().flat_map(|model| model.materials.iter().cloned()).collect();
-    crate::with_textures(scene, &materials, first, budget)
+    crate::with_textures(scene, &materials, first, None, budget)
 }
