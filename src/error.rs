@@ -1,7 +1,9 @@
 //! Every way in which the library can fail, with what, where and what to do. Those of the roles of a cluster stand with them, in
 //! [`cluster`](crate::cluster).
 //!
-//! One enum per room, so that a caller can match on what it can handle; [`Error`] joins the usual ones for callers
+//! What the system said stands in the message and is the error's [`source()`](std::error::Error::source) too.
+//!
+//! One enum per room, so that a caller can match on what it can handle (with an arm for the rest: variants may be added); [`Error`] joins the usual ones for callers
 //! that only report.
 
 use std::io;
@@ -53,6 +55,7 @@ pub struct AttributeError {
 
 /// A block could not be encoded.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum EncodeError {
     /// The input is not a valid block, or the codec refused it.
     #[error("a block cannot be encoded: {0}")]
@@ -91,6 +94,7 @@ impl From<EncodeError> for CompileError {
 /// A compiled file's header, directory or material table is not what it should be.
 /// Offsets are from the start of the file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum ModelError {
     /// Not a compiled file at all.
     #[error(
@@ -139,6 +143,7 @@ impl From<ModelError> for CompileError {
 
 /// A block or a compiled file could not be read.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SourceError {
     /// The operating system (or a remote end) failed.
     #[error("cannot read {what} of {name}: {error}")]
@@ -148,6 +153,7 @@ pub enum SourceError {
         /// The file or other origin.
         name: String,
         /// The cause.
+        #[source]
         error: io::Error,
     },
     /// The file ends before the bytes that were asked for.
@@ -182,18 +188,23 @@ pub enum SourceError {
         /// The file or other origin.
         name: String,
     },
+    /// The budget has no room for what is known of the model: its directory and materials.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
     /// The file is not a valid compiled file.
     #[error("{name}: {error}")]
     Model {
         /// The file or other origin.
         name: String,
         /// The cause.
+        #[source]
         error: ModelError,
     },
 }
 
 /// A model file could not be imported.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ImportError {
     /// The operating system failed.
     #[error("cannot read {}: {error}", path.display())]
@@ -201,6 +212,7 @@ pub enum ImportError {
         /// The model file or a file that it names.
         path: PathBuf,
         /// The cause.
+        #[source]
         error: io::Error,
     },
     /// A text file has a line that means nothing.
@@ -249,6 +261,7 @@ pub enum ImportError {
 
 /// A compile could not be finished. No file that opens is left behind.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CompileError {
     /// The source could not be imported.
     #[error(transparent)]
@@ -259,6 +272,7 @@ pub enum CompileError {
         /// The file that was being written.
         path: PathBuf,
         /// The cause (`StorageFull` for a full disk).
+        #[source]
         error: io::Error,
     },
     /// The budget is too small.
@@ -266,7 +280,7 @@ pub enum CompileError {
     Budget(#[from] BudgetError),
     /// A coordinate is NaN or infinite.
     #[error(
-        "triangle {triangle} has a coordinate that is not finite; correct the model or choose to skip such triangles"
+        "triangle {triangle} has a coordinate that is not finite; correct the model, or skip and count such triangles with `CompileOptions::skip_not_finite`"
     )]
     NotFinite {
         /// Ordinal of the triangle in the source.
@@ -307,6 +321,7 @@ pub enum CompileError {
 
 /// The pictures of a model could not be read or converted.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum TextureError {
     /// The operating system failed.
     #[error("cannot read or write {}: {error}", path.display())]
@@ -314,6 +329,7 @@ pub enum TextureError {
         /// The image, or the file of tiles.
         path: PathBuf,
         /// The cause.
+        #[source]
         error: io::Error,
     },
     /// An image that cannot be used.
@@ -341,6 +357,7 @@ pub enum TextureError {
 
 /// A missing block could not be brought in.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum LoadError {
     /// Its bytes could not be read.
     #[error(transparent)]
@@ -370,6 +387,7 @@ pub enum LoadError {
 
 /// A trace of block accesses could not be written or read. Offsets are from the start of the file.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum AccessTraceError {
     /// The operating system failed.
     #[error("cannot read or write the access trace: {0}")]
@@ -409,6 +427,7 @@ pub enum AccessTraceError {
 
 /// A query or an octree could not be set up or answered.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum TraceError {
     /// A block that a ray reached could not be brought in. The results of the call are not to be used.
     #[error(transparent)]
@@ -416,6 +435,36 @@ pub enum TraceError {
     /// The budget is too small.
     #[error(transparent)]
     Budget(#[from] BudgetError),
+    /// An octree gives no more tracers: as many live as it was opened for.
+    #[error(
+        "{wanted} tracers are wanted and the octree was opened for {tracers_max}: open it with `OctreeOptions::tracers_max` at least {wanted}, or use fewer threads (a render takes one tracer for each)"
+    )]
+    TooManyTracers {
+        /// How many would live at once.
+        wanted: u32,
+        /// How many the octree was opened for.
+        tracers_max: u32,
+    },
+    /// The slots of a cache that the caller made are too small for the trees of this model's blocks.
+    #[error(
+        "the slots of the given cache have {slot_bytes} and a block's tree takes {needed}: make it with `LazyOctree::slot_bytes`, or compile with smaller blocks"
+    )]
+    SlotsTooSmall {
+        /// What a slot has.
+        slot_bytes: Bytes,
+        /// What the largest tree takes.
+        needed: Bytes,
+    },
+    /// A cache that the caller made has fewer slots than there may be tracers, so one could be left without any.
+    #[error(
+        "the given cache has {slot_count} slots and needs {needed}, one for each tracer: make it larger, or lower `OctreeOptions::tracers_max`"
+    )]
+    TooFewSlots {
+        /// How many it has.
+        slot_count: u32,
+        /// How many it needs.
+        needed: u32,
+    },
     /// A ray has a component that is not finite, a zero direction, or `t_min` outside `0 ..= t_max`.
     #[error("ray {index} is not valid: {reason}")]
     InvalidRay {
@@ -428,6 +477,7 @@ pub enum TraceError {
 
 /// Instances could not be placed.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum InstanceError {
     /// A model could not be opened.
     #[error("model {model}: {error}")]
@@ -435,6 +485,7 @@ pub enum InstanceError {
         /// Its number.
         model: usize,
         /// The cause.
+        #[source]
         error: TraceError,
     },
     /// The budget has no room for what is known of the instances.
@@ -462,6 +513,7 @@ pub enum InstanceError {
 
 /// A picture could not be made.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RenderError {
     /// A query failed.
     #[error(transparent)]
@@ -491,6 +543,7 @@ pub enum RenderError {
         /// The image file.
         path: PathBuf,
         /// The cause.
+        #[source]
         error: io::Error,
     },
     /// The caller asked to stop.
@@ -500,6 +553,7 @@ pub enum RenderError {
 
 /// A scene file could not be read.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SceneFileError {
     /// The operating system failed.
     #[error("cannot read {}: {error}", path.display())]
@@ -507,6 +561,7 @@ pub enum SceneFileError {
         /// The scene file.
         path: PathBuf,
         /// The cause.
+        #[source]
         error: io::Error,
     },
     /// It is no text, or longer than any scene file.
@@ -538,6 +593,7 @@ fn named(key: &str) -> String {
 
 /// A frame could not be sent or received, or a connection not be made.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum TransportError {
     /// Nobody answers at an address, or the address cannot be used.
     #[error("cannot connect to {address}: {reason}")]
@@ -604,6 +660,7 @@ pub enum TransportError {
 
 /// A scheduler could not be made, or was told something that cannot be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum ScheduleError {
     /// An option that makes no sense.
     #[error("{what}: {reason}")]
@@ -639,8 +696,8 @@ pub enum ScheduleError {
     },
 }
 
-/// The failures that most callers meet, as one type. Those of instances, textures, scene files and clusters are not among them: a caller
-/// that meets these too is better off with `Box<dyn std::error::Error>`.
+/// The failures that callers meet, as one type. Those of the roles of a cluster are not among them: they stand with the roles, in
+/// [`cluster`](crate::cluster).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -659,6 +716,15 @@ pub enum Error {
     /// See [`TraceError`].
     #[error(transparent)]
     Trace(#[from] TraceError),
+    /// See [`InstanceError`].
+    #[error(transparent)]
+    Instance(#[from] InstanceError),
+    /// See [`TextureError`].
+    #[error(transparent)]
+    Texture(#[from] TextureError),
+    /// See [`SceneFileError`].
+    #[error(transparent)]
+    SceneFile(#[from] SceneFileError),
     /// See [`RenderError`].
     #[error(transparent)]
     Render(#[from] RenderError),

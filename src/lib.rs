@@ -51,6 +51,7 @@
 //! 1. [`cluster`]: coordinator, workers, readers
 //! 1. [`accuracy`]: error goals, certificates, what accuracy costs
 #![deny(missing_docs)]
+#![warn(missing_debug_implementations)]
 #![deny(unsafe_op_in_unsafe_fn)]
 
 pub mod access;
@@ -73,6 +74,8 @@ pub mod render;
 pub mod scene;
 pub mod scene_file;
 pub mod schedule;
+// Registers and views of them; what they hold is seen through their lanes.
+#[allow(missing_debug_implementations)]
 pub mod simd;
 pub mod source;
 pub mod stats;

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 /// Index of a block in the directory of a compiled file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BlockId(pub u32);
@@ -21,7 +23,8 @@ pub struct TriangleId(pub u64);
 pub struct MaterialId(pub u16);
 
 /// A tile of the image, numbered in the order in which tiles are handed out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
 pub struct TileId(pub u32);
 
 /// A worker of a cluster. The coordinator gives a worker that comes back after it was lost a new number.

@@ -70,7 +70,10 @@ fn again(
     threads: &Threads,
 ) -> Film {
     let go_on = &mut |_| Control::Continue;
-    render_with_knobs(octree, scene, &settings(), knobs, threads, budget, go_on).unwrap().film
+    // As they would come out of a file.
+    let read: Knobs = serde_json::from_str(&serde_json::to_string(knobs).unwrap()).unwrap();
+    assert_eq!(read, *knobs);
+    render_with_knobs(octree, scene, &settings(), &read, threads, budget, go_on).unwrap().film
 }
 
 fn reference(octree: &LazyOctree, budget: &MemoryBudget, scene: &Scene) -> Film {

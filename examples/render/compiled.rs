@@ -8,7 +8,7 @@ use outcrop::compile::{
     CompileOptions, CompileReport, Compiler, Control, LazyModel, LazyOptions, Phase, Progress, Threads,
     compile_file_with, compile_shape,
 };
-use outcrop::import::{GltfPart, ImportOptions, source_record_of};
+use outcrop::import::{GltfPart, ImportOptions, ImportReport, source_record_of};
 use outcrop::model::SourceRecord;
 use outcrop::procedural::{Gears, Shape};
 use outcrop::source::DiskSource;
@@ -101,6 +101,7 @@ pub fn prepare(
             drop(lazy);
             return whole(options, model, path, budget, &mut progress, reason);
         }
+        warn(lazy.import_report());
         let story = format!("{}, {reason}, as rays reach it", model.display());
         return Ok(Compiled { origin: Origin::Lazy(Arc::new(lazy)), story, report: None });
     }
@@ -124,6 +125,7 @@ fn whole(
         budget,
         progress,
     )?;
+    warn(report.import.as_ref());
     // What an earlier run had compiled of it as rays reached it is of no more use; there may be none.
     let _ = std::fs::remove_file(LazyModel::working_path(&path));
     let story = format!("{}{}, {reason}", model.display(), of(&options.part));
@@ -136,11 +138,19 @@ fn lazy_options(options: &Options, compile: CompileOptions) -> LazyOptions {
 }
 
 /// `MODEL.outcrop`, with the model's own extension kept: `a.obj` and `a.ply` are two models.
-pub fn beside(model: &Path) -> PathBuf {
+fn beside(model: &Path) -> PathBuf {
     let mut name = model.as_os_str().to_os_string();
     name.push(".");
     name.push(EXTENSION);
     PathBuf::from(name)
+}
+
+/// The compiled file of `model`, which may be one itself.
+pub fn file_of(model: &Path) -> PathBuf {
+    match model.extension() {
+        Some(extension) if extension == EXTENSION => model.to_path_buf(),
+        _ => beside(model),
+    }
 }
 
 /// [`beside`] for a part of a model.
@@ -199,5 +209,18 @@ fn compile_options(options: &Options) -> CompileOptions {
     if let Some(precision) = options.precision {
         compile.precision = precision;
     }
+    compile.skip_not_finite = options.skip_not_finite;
     compile
+}
+
+/// Tells what the reader of a model file did not use as the file may have meant it.
+fn warn(import: Option<&ImportReport>) {
+    let Some(import) = import else { return };
+    for warning in &import.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let more = import.warning_count.saturating_sub(import.warnings.len() as u64);
+    if more > 0 {
+        eprintln!("warning: and {more} more");
+    }
 }

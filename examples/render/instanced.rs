@@ -64,7 +64,7 @@ pub fn picture(
         meter.finish();
         summary.compiled(&model);
         sources.push(match &model.origin {
-            Origin::File(path) => crate::open(&options, path)?,
+            Origin::File(path) => crate::open(&options, path, budget)?,
             Origin::Lazy(model) => Arc::clone(model) as Arc<dyn BlockSource>,
         });
         compiled.push(model);
@@ -106,5 +106,5 @@ fn with_textures(
         .into());
     }
     let materials: Vec<_> = models.iter().flat_map(|model| model.materials.iter().cloned()).collect();
-    crate::with_textures(scene, &materials, first, budget)
+    crate::with_textures(scene, &materials, first, None, budget)
 }

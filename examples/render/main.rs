@@ -82,8 +82,10 @@ fn job(
     if let Some(parts) = instanced::Parts::of(options)? {
         let (image, models) = instanced::picture(options, parts, budget, interrupt, &mut meter, summary)?;
         meter.finish();
+        // The picture first: a full disk must not lose it.
+        let code = finish(options, &image, summary)?;
         models.iter().try_for_each(|model| keep_lazy(model, summary))?;
-        return finish(options, &image, summary);
+        return Ok(code);
     }
     let compiled = compiled::prepare(options, budget, interrupt, &mut meter)?;
     meter.finish();
@@ -92,14 +94,16 @@ fn job(
         return Ok(ExitCode::SUCCESS);
     }
     let source = match &compiled.origin {
-        Origin::File(path) => (open(options, path)?, TreeQuality::Best),
+        Origin::File(path) => (open(options, path, budget)?, TreeQuality::Best),
         // Who is in a hurry for a first picture wants it traced soon, not fast.
         Origin::Lazy(model) => (Arc::clone(model) as Arc<dyn BlockSource>, TreeQuality::Quick),
     };
     let image = render(options, source, budget, interrupt, &mut meter, summary)?;
     meter.finish();
+    // The picture first: a full disk must not lose it.
+    let code = finish(options, &image, summary)?;
     keep_lazy(&compiled, summary)?;
-    finish(options, &image, summary)
+    Ok(code)
 }
 
 /// Seals a model that was compiled as rays reached it, if that is all of it.
@@ -126,10 +130,14 @@ fn finish(
     })
 }
 
-fn open(options: &Options, path: &Path) -> Result<Arc<dyn BlockSource>, Box<dyn Error>> {
+fn open(
+    options: &Options,
+    path: &Path,
+    budget: &MemoryBudget,
+) -> Result<Arc<dyn BlockSource>, Box<dyn Error>> {
     Ok(match options.source {
-        SourceKind::Disk => Arc::new(DiskSource::open_with(path, PageCache::Bypass)?),
-        SourceKind::Cached => Arc::new(DiskSource::open_with(path, PageCache::Use)?),
+        SourceKind::Disk => Arc::new(DiskSource::open_in(path, PageCache::Bypass, budget)?),
+        SourceKind::Cached => Arc::new(DiskSource::open_in(path, PageCache::Use, budget)?),
         // SAFETY: the file was published whole under its name by a rename and this program does not write to it; a user
         // who truncates it during the render asks for the signal that the documentation of `open` promises.
         SourceKind::Mmap => Arc::new(unsafe { MmapSource::open(path) }?),
@@ -153,7 +161,7 @@ fn render(
     let threads = Threads::Count(options.threads as usize);
     let mut scene = scene(options, &source.model().bounds, budget)?;
     if let Some(model) = &options.model {
-        scene = with_textures(scene, &source.model().materials, model, budget)?;
+        scene = with_textures(scene, &source.model().materials, model, options.compiled.as_deref(), budget)?;
     }
     // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
@@ -203,12 +211,18 @@ fn with_textures(
     scene: Scene,
     materials: &[MaterialRecord],
     model: &Path,
+    compiled: Option<&Path>,
     budget: &MemoryBudget,
 ) -> Result<Scene, Box<dyn Error>> {
     if Textures::named_by(materials).is_empty() {
         return Ok(scene);
     }
-    let mut tiles = compiled::beside(model).into_os_string();
+    // The model's own folder may be read-only if the compiled file is elsewhere.
+    let mut tiles = match compiled {
+        Some(compiled) => compiled.to_path_buf(),
+        None => compiled::file_of(model),
+    }
+    .into_os_string();
     tiles.push(".tiles");
     let folder = model.parent().unwrap_or(Path::new(""));
     Ok(scene.with_textures(Textures::open(materials, folder, Path::new(&tiles), budget)?))

@@ -29,7 +29,7 @@ render: makes a picture of a model inside a memory budget
 Without a MODEL, gears are made in code and go straight into the compiler, however many they are.
 A model is compiled to MODEL.outcrop, unless that file is there and the model has not changed since: as far as the picture needs it,
 or all of it at once with --compile-only or --recompile. What is compiled so far is kept in MODEL.outcrop.working,
-images of its materials in MODEL.outcrop.tiles.
+images of its materials in MODEL.outcrop.tiles; both are beside the file that --compiled names if it does.
 
 model
     --gears N               wheels per edge of the gears that are made without a MODEL (4): 27,456 N^3 + 96 triangles
@@ -67,8 +67,9 @@ compiled file
     --lazy                  compile only what rays reach, and keep it in FILE.outcrop.working for the next time; done anyway
                             for a picture of a model that is not compiled, unless another option needs or asks for a compiled file
     --block-bytes BYTES     decoded size of a block, 4KiB to 256KiB (64KiB)
-    --codec KIND            raw, lzo or lz4 (lz4)
+    --codec KIND            raw, lzo, lz4 or zstd (lz4; zstd in a build with that feature)
     --precision KIND        auto, float32, or the exponent E of a lattice of spacing 2^E (auto)
+    --skip-not-finite       leave triangles with a NaN or infinite coordinate out, and count them, instead of failing
 report
     --stats FILE.json       everything that is printed and more
     --record-accesses FILE  which blocks each query enters, and how much memory the view needs
@@ -130,6 +131,8 @@ pub struct Options {
     pub block_bytes: Option<u32>,
     pub codec: Option<Codec>,
     pub precision: Option<PrecisionChoice>,
+    /// Whether triangles that are not finite are left out.
+    pub skip_not_finite: bool,
     pub stats: Option<PathBuf>,
     pub record_accesses: Option<PathBuf>,
     pub memory_log: Option<PathBuf>,
@@ -239,8 +242,7 @@ impl Options {
                     options.block_bytes = Some(u32::try_from(bytes.0)?);
                 }
                 "--codec" => {
-                    let kinds = [("raw", Codec::Raw), ("lzo", Codec::Lzo), ("lz4", Codec::Lz4)];
-                    options.codec = Some(arguments.choice(&kinds)?);
+                    options.codec = Some(arguments.choice(&Codec::ALL.map(|kind| (kind.name(), kind)))?);
                 }
                 "--precision" => {
                     options.precision = Some(match arguments.text()?.as_str() {
@@ -257,6 +259,7 @@ impl Options {
                         },
                     });
                 }
+                "--skip-not-finite" => options.skip_not_finite = true,
                 "--stats" => options.stats = Some(arguments.path()?),
                 "--record-accesses" => options.record_accesses = Some(arguments.path()?),
                 "--memory-log" => options.memory_log = Some(arguments.path()?),
@@ -395,6 +398,7 @@ impl Default for Options {
             block_bytes: None,
             codec: None,
             precision: None,
+            skip_not_finite: false,
             stats: None,
             record_accesses: None,
             memory_log: None,

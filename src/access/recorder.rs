@@ -182,3 +182,15 @@ impl Drop for AccessLog {
         self.hand_over();
     }
 }
+
+impl std::fmt::Debug for AccessRecorder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("AccessRecorder").finish_non_exhaustive()
+    }
+}
+
+impl std::fmt::Debug for AccessLog {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("AccessLog").finish_non_exhaustive()
+    }
+}

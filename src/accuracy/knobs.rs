@@ -1,5 +1,7 @@
 //! Everything that trades error for time in a picture, and the picture that follows from it.
 
+use serde::{Deserialize, Serialize};
+
 use crate::LazyOctree;
 use crate::budget::MemoryBudget;
 use crate::compile::{Control, Threads};
@@ -9,8 +11,9 @@ use crate::render::{AdaptiveSampling, Progress, RenderSettings, RenderedImage, R
 use crate::scene::Scene;
 use crate::units::TileId;
 
-/// What was chosen for a picture. With scene, model and settings it gives the picture again, bit for bit.
-#[derive(Clone, Debug, PartialEq)]
+/// What was chosen for a picture. With scene, model and settings it gives the picture again, bit for bit, also from a file that was
+/// written with serde, in a format that keeps every bit of an f64 (`serde_json` does with its feature `float_roundtrip`).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Knobs {
     /// How sure hits are; that of the octree.
     pub tier: Tier,
@@ -25,7 +28,7 @@ pub struct Knobs {
 }
 
 /// How many samples pixels get.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Sampling {
     /// All the same.
     Fixed {
@@ -46,7 +49,7 @@ pub enum Sampling {
 }
 
 /// An error threshold for a run of tiles.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TileThreshold {
     /// From this tile on, in the order in which tiles are handed out.
     pub first_tile: TileId,

@@ -132,3 +132,15 @@ impl AttributeReader<'_> {
         Ok(corner_attributes(pin.insert(found), index))
     }
 }
+
+impl std::fmt::Debug for AttributeCache {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("AttributeCache").finish_non_exhaustive()
+    }
+}
+
+impl std::fmt::Debug for AttributeReader<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("AttributeReader").finish_non_exhaustive()
+    }
+}

@@ -136,3 +136,9 @@ fn decode_parts(
     let runs = &payload[layout.materials..layout.end];
     materials::decode(runs, check.material_range, &mut data.materials).map_err(at(layout.materials))
 }
+
+impl std::fmt::Debug for DecodeScratch {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("DecodeScratch").finish_non_exhaustive()
+    }
+}

@@ -145,3 +145,9 @@ fn validate(input: &BlockInput<'_>, precision: Precision, limits: BlockLimits) -
     }
     Ok(wide)
 }
+
+impl std::fmt::Debug for EncodeScratch {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("EncodeScratch").finish_non_exhaustive()
+    }
+}

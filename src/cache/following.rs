@@ -131,3 +131,9 @@ impl<P: ReplacementPolicy> GeometryCache for FollowingCache<P> {
         self.cache.stats()
     }
 }
+
+impl<P: ReplacementPolicy> std::fmt::Debug for FollowingCache<P> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("FollowingCache").finish_non_exhaustive()
+    }
+}

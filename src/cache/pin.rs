@@ -45,3 +45,9 @@ impl Drop for Pin<'_> {
         self.owner.unpin(self.block);
     }
 }
+
+impl std::fmt::Debug for Pin<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Pin").finish_non_exhaustive()
+    }
+}

@@ -131,3 +131,9 @@ impl<P: ReplacementPolicy> GeometryCache for SlotCache<P> {
         self.table.stats()
     }
 }
+
+impl<P: ReplacementPolicy> std::fmt::Debug for SlotCache<P> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("SlotCache").finish_non_exhaustive()
+    }
+}

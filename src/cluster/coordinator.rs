@@ -630,6 +630,7 @@ pub fn map_colour(index: usize) -> [f32; 3] {
 
 /// A coordinator could not be made.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CoordinatorError {
     /// Options that make no sense.
     #[error(transparent)]
@@ -648,6 +649,7 @@ pub enum CoordinatorError {
         /// Its file.
         path: std::path::PathBuf,
         /// The cause.
+        #[source]
         error: std::io::Error,
     },
     /// The scene holds what does not travel.
@@ -658,4 +660,10 @@ pub enum CoordinatorError {
     /// The transport failed.
     #[error(transparent)]
     Transport(#[from] crate::error::TransportError),
+}
+
+impl std::fmt::Debug for Coordinator {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Coordinator").finish_non_exhaustive()
+    }
 }

@@ -35,6 +35,7 @@ const SAFE: Duration = Duration::from_secs(1);
 
 /// A node ended before its work was done.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum NodeError {
     /// The transport failed.
     #[error(transparent)]
@@ -512,7 +513,12 @@ impl Engine<'_> {
             }
             Some(file) => Some(Source::File(Arc::clone(file))),
             None if self.readers.iter().any(|reader| !reader.is_empty()) => {
-                let remote = RemoteSource::open(Arc::clone(data), self.readers.clone(), options.remote)?;
+                let remote = RemoteSource::open_in(
+                    Arc::clone(data),
+                    self.readers.clone(),
+                    options.remote,
+                    &options.budget,
+                )?;
                 Some(Source::Remote(Arc::new(remote)))
             }
             None => None,
@@ -719,4 +725,14 @@ fn work(counters: &TraceCounters) -> f64 {
         + 15.0 * counters.box_tests as f64
         + 2.0 * counters.triangle_tests as f64
         + 30.0 * counters.decisions as f64
+}
+
+impl std::fmt::Debug for WorkerOptions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("WorkerOptions")
+            .field("name", &self.name)
+            .field("lanes", &self.lanes)
+            .field("octree", &self.octree)
+            .finish_non_exhaustive()
+    }
 }

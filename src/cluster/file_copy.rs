@@ -73,6 +73,7 @@ pub struct CopyCounters {
 
 /// There will be no copy; the node can do without.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CopyError {
     /// The disk.
     #[error("cannot write the copy {}: {error}", path.display())]
@@ -80,6 +81,7 @@ pub enum CopyError {
         /// The file.
         path: PathBuf,
         /// The cause; `StorageFull` if there was no room: then what was written is removed.
+        #[source]
         error: io::Error,
     },
     /// Something else has the copy's name.
@@ -342,4 +344,19 @@ fn write_at(mut file: &File, offset: u64, bytes: &[u8]) -> io::Result<()> {
     use std::io::{Seek, Write};
     file.seek(io::SeekFrom::Start(offset))?;
     file.write_all(bytes)
+}
+
+impl std::fmt::Debug for CopyOptions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("CopyOptions")
+            .field("path", &self.path)
+            .field("page_cache", &self.page_cache)
+            .finish_non_exhaustive()
+    }
+}
+
+impl std::fmt::Debug for FileCopy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("FileCopy").finish_non_exhaustive()
+    }
 }

@@ -34,6 +34,7 @@ pub struct Hosts {
 
 /// What is wrong with a host file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum HostsError {
     /// A line that means nothing.
     #[error("line {line} of the host file: {reason}; write it as `HOST[:PORT] coordinator|worker|reader`")]

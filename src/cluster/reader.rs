@@ -256,3 +256,9 @@ impl Reader {
         Message::FilePart { offset, file_bytes }.frame_with(&self.buffer)
     }
 }
+
+impl std::fmt::Debug for Reader {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Reader").finish_non_exhaustive()
+    }
+}

@@ -12,11 +12,12 @@ use smallvec::SmallVec;
 use super::message::{BLOCKS_MAX, Message, RANGE_BYTES_MAX};
 use super::model_file::readers_of;
 use crate::block::checksum;
-use crate::error::{ModelError, SourceError};
+use crate::budget::MemoryBudget;
+use crate::error::{BudgetError, ModelError, SourceError};
 use crate::model::{Model, ModelReader};
-use crate::source::BlockSource;
+use crate::source::{BlockSource, DIRECTORY};
 use crate::transport::{PeerId, Transport, TransportEvent};
-use crate::units::BlockId;
+use crate::units::{BlockId, Bytes};
 
 const NAME: &str = "the cluster's readers";
 
@@ -204,14 +205,45 @@ impl RemoteSource {
         readers: Vec<String>,
         options: RemoteOptions,
     ) -> Result<RemoteSource, SourceError> {
+        RemoteSource::open_if(transport, readers, options, &mut |_| Ok(()))
+    }
+
+    /// The same if `budget` has room for directory and materials, which is asked before they are allocated (I1). The room is given back
+    /// when this returns: the octree that is opened over the source takes it again, for as long as it lives.
+    ///
+    /// # Errors
+    /// [`SourceError::Budget`], or as for [`RemoteSource::open`].
+    pub fn open_in(
+        transport: Arc<dyn Transport>,
+        readers: Vec<String>,
+        options: RemoteOptions,
+        budget: &MemoryBudget,
+    ) -> Result<RemoteSource, SourceError> {
+        let mut room = None;
+        RemoteSource::open_if(transport, readers, options, &mut |bytes| {
+            // What was taken for a reader that failed is given back first.
+            room = None;
+            room = Some(budget.reserve(bytes, DIRECTORY)?);
+            Ok(())
+        })
+    }
+
+    fn open_if(
+        transport: Arc<dyn Transport>,
+        readers: Vec<String>,
+        options: RemoteOptions,
+        claim: &mut dyn FnMut(Bytes) -> Result<(), BudgetError>,
+    ) -> Result<RemoteSource, SourceError> {
         let mut last = failed("the header", io::ErrorKind::NotConnected, "there are no readers".to_owned());
         for address in readers.iter().filter(|address| !address.is_empty()) {
             let fetched = FileFetch::start(&*transport, address, options.answer_time_max)
-                .and_then(|mut fetch| fetch.model());
+                .and_then(|mut fetch| fetch.model(claim));
             match fetched {
                 Ok(model) => {
                     return Ok(RemoteSource::new(Arc::new(model), None, transport, readers, options));
                 }
+                // Another reader would give no smaller model.
+                Err(error @ SourceError::Budget(_)) => return Err(error),
                 Err(error) => last = error,
             }
         }
@@ -660,9 +692,13 @@ impl<'t> FileFetch<'t> {
     }
 
     /// Header, directory and materials.
-    pub fn model(&mut self) -> Result<Model, SourceError> {
+    pub fn model(
+        &mut self,
+        claim: &mut dyn FnMut(Bytes) -> Result<(), BudgetError>,
+    ) -> Result<Model, SourceError> {
         let file_bytes = self.file_bytes;
-        let model = ModelReader::read(file_bytes, |what, offset, into: &mut [u8]| {
+        let claim = |bytes| claim(bytes).map_err(|error| FetchError::Source(error.into()));
+        let model = ModelReader::read_if(file_bytes, claim, |what, offset, into: &mut [u8]| {
             self.range(what, offset, into).map_err(FetchError::Source)
         });
         model.map_err(|error| match error {
@@ -738,5 +774,11 @@ enum FetchError {
 impl From<ModelError> for FetchError {
     fn from(error: ModelError) -> FetchError {
         FetchError::Model(error)
+    }
+}
+
+impl std::fmt::Debug for RemoteSource {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RemoteSource").finish_non_exhaustive()
     }
 }

@@ -453,3 +453,9 @@ fn result(lane: u16, held: &mut Held, is_last: bool) -> Vec<u8> {
     let pixels: Vec<u8> = ready.into_values().flatten().collect();
     Message::Result { lane, what, is_last, micros, work }.frame_with(&pixels)
 }
+
+impl std::fmt::Debug for Worker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Worker").finish_non_exhaustive()
+    }
+}

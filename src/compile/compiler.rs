@@ -618,6 +618,7 @@ impl<'p> Compiler<'p> {
             degenerate: written.degenerate,
             duplicates: written.duplicates,
             skipped,
+            import: None,
             triangles_with_attributes: attributes.triangles,
             attribute_bytes: attributes.bytes,
             precision: decision.precision,
@@ -780,4 +781,14 @@ fn headroom(budget: &MemoryBudget) -> u64 {
 
 fn unknown_vertex(vertex: u64) -> CompileError {
     CompileError::Limit { reason: format!("a face names vertex {vertex}, which has not come yet") }
+}
+
+impl std::fmt::Debug for Compiler<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Compiler")
+            .field("output", &self.output)
+            .field("options", &self.options)
+            .field("triangles", &self.triangles)
+            .finish_non_exhaustive()
+    }
 }

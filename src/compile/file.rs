@@ -7,11 +7,12 @@ use super::options::{CompileOptions, CompileReport, Control, Progress};
 use super::vertices::Keep;
 use crate::budget::MemoryBudget;
 use crate::error::{CompileError, ImportError};
-use crate::import::{ImportOptions, import_file, source_record_of};
+use crate::import::{ImportOptions, ImportReport, import_file, source_record_of};
 use crate::model::SourceRecord;
 
 /// Compiles the model file `input` to `output`, in memory bounded by `budget`. `progress` is called some hundred times.
-/// What the import left out or had to guess ([`ImportReport`](crate::import::ImportReport)) is not reported.
+/// What the import left out or had to guess, a missing material library for one, is in [`CompileReport::import`]: it stops nothing, so
+/// show its warnings to whoever started the compile.
 ///
 /// # Errors
 /// [`CompileError`]; no file is left then, and one that was at `output` before is as it was.
@@ -39,11 +40,16 @@ pub fn compile_file_with(
 ) -> Result<CompileReport, CompileError> {
     let source = source_record_of(input, import)?;
     let mut prepare = |_: &mut Compiler<'_>| ();
-    let end = |compiler: Compiler<'_>| compiler.finish();
+    let end = |compiler: Compiler<'_>, import| {
+        let mut report = compiler.finish()?;
+        report.import = Some(import);
+        Ok(report)
+    };
     read_file(input, import, output, source, options, budget, progress, &mut prepare, end)
 }
 
-/// Reads the model file `input` into a compiler, as often as it takes, and ends the one that has all that it needs.
+/// Reads the model file `input` into a compiler, as often as it takes, and ends the one that has all that it needs; `end` gets what the
+/// last reading reports.
 #[expect(clippy::too_many_arguments, reason = "what a compile takes, and two steps of it")]
 pub(super) fn read_file<T>(
     input: &Path,
@@ -54,7 +60,7 @@ pub(super) fn read_file<T>(
     budget: &MemoryBudget,
     progress: &mut dyn FnMut(Progress) -> Control,
     prepare: &mut dyn FnMut(&mut Compiler<'_>),
-    end: impl FnOnce(Compiler<'_>) -> Result<T, CompileError>,
+    end: impl FnOnce(Compiler<'_>, ImportReport) -> Result<T, CompileError>,
 ) -> Result<T, CompileError> {
     // A file can be read again, so the rare need for more of the vertices costs another reading and not the space to keep it
     // every time.
@@ -69,12 +75,12 @@ pub(super) fn read_file<T>(
         }
         let import_options = ImportOptions { pool: compiler.pool().cloned(), ..import.clone() };
         let imported = import_file(input, &import_options, &mut compiler);
-        let imported = imported.map_err(sink_error).and_then(|_| compiler.drain());
+        let imported = imported.map_err(sink_error).and_then(|report| compiler.drain().map(|()| report));
         match (imported, compiler.needs()) {
             // Asks for more each time, so at most twice.
             (Err(_), Some(needed)) => (keep, spent) = (needed, Some(compiler.into_spent())),
             (Err(error), None) => return Err(error),
-            (Ok(()), _) => return end(compiler),
+            (Ok(report), _) => return end(compiler, report),
         }
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::block::Codec;
 use crate::geom::Precision;
+use crate::import::ImportReport;
 use crate::units::Bytes;
 
 /// How a compile is to be done. The image made from the result does not depend on any of it but `precision` and
@@ -162,6 +163,9 @@ pub struct CompileReport {
     pub duplicates: u64,
     /// Triangles left out because a coordinate was not finite.
     pub skipped: u64,
+    /// What the reader of the model file left out or had to guess; `None` if the geometry came from no file, or if a working file spared
+    /// a lazy compile the reading.
+    pub import: Option<ImportReport>,
     /// Triangles with texture coordinates or normals.
     pub triangles_with_attributes: u64,
     /// What these take in the compiled file, without their directory.

@@ -116,3 +116,9 @@ fn sink_error(error: ImportError) -> CompileError {
         other => CompileError::Import(other),
     }
 }
+
+impl std::fmt::Debug for TriangleSink<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("TriangleSink").finish_non_exhaustive()
+    }
+}

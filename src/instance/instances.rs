@@ -314,3 +314,12 @@ fn least_bytes(source: &Arc<dyn BlockSource>, options: &OctreeOptions) -> u64 {
     let directory = model.resident_bytes().0 + u64::from(model.block_id_count()) * PER_BLOCK;
     directory + tracers * (tracer_bytes(&**source).0 + slot.min(u64::from(model.block_id_count()) * slot))
 }
+
+impl std::fmt::Debug for Instances {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Instances")
+            .field("models", &self.octrees.len())
+            .field("instances", &self.instances.len())
+            .finish_non_exhaustive()
+    }
+}

@@ -197,3 +197,9 @@ impl<G: Goal, M: Fn(usize) -> G, D: FnMut(usize, G)> AnyOperation for Each<'_, '
         Ok(())
     }
 }
+
+impl std::fmt::Debug for InstanceTracer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("InstanceTracer").finish_non_exhaustive()
+    }
+}

@@ -1,16 +1,19 @@
 //! From the bytes of a file to a [`Model`]. The bytes are untrusted (I5).
 
-use super::attributes::{AttributePages, PAGE_ENTRY_BYTES};
+use super::attributes::{AttributePages, PAGE_ENTRY_BYTES, PageEntry};
+use super::directory::BlockEntry;
 use super::directory::{DirectoryReader, ENTRY_BYTES, EntryContext};
 use super::header::{HEADER_BYTES, Header, Section};
 use super::material::parse_table;
-use super::{Cells, Model};
+use super::{Cells, MaterialImages, MaterialRecord, Model};
 use crate::error::ModelError;
+use crate::units::Bytes;
 
 /// Directory entries that are read at a time.
 const CHUNK_BYTES: usize = 512 * ENTRY_BYTES;
 
 /// Reads a model through a function that copies bytes of the file, so that every kind of source parses in the same way.
+#[derive(Clone, Copy, Debug)]
 pub struct ModelReader;
 
 impl ModelReader {
@@ -24,6 +27,19 @@ impl ModelReader {
     /// What `read` returned, or [`ModelError`] turned into the caller's error.
     pub fn read<E: From<ModelError>>(
         file_bytes: u64,
+        read: impl FnMut(&'static str, u64, &mut [u8]) -> Result<(), E>,
+    ) -> Result<Model, E> {
+        ModelReader::read_if(file_bytes, |_| Ok(()), read)
+    }
+
+    /// As [`ModelReader::read`], but asks first: once the header is read, and before anything that grows with the model is allocated,
+    /// `claim` is called with the bytes that the rest takes at most.
+    ///
+    /// # Errors
+    /// As for [`ModelReader::read`], or what `claim` returned: then nothing but the header was read.
+    pub fn read_if<E: From<ModelError>>(
+        file_bytes: u64,
+        claim: impl FnOnce(Bytes) -> Result<(), E>,
         mut read: impl FnMut(&'static str, u64, &mut [u8]) -> Result<(), E>,
     ) -> Result<Model, E> {
         let mut header = [0; HEADER_BYTES];
@@ -33,6 +49,7 @@ impl ModelReader {
             return Err(too_short(&header[..present]).into());
         }
         let header = Header::parse(&header, file_bytes)?;
+        claim(bytes_at_most(&header))?;
 
         let mut chunk = vec![0; CHUNK_BYTES.min(section_bytes(header.directory)?)];
         let mut blocks = Vec::with_capacity(header.block_count as usize);
@@ -143,6 +160,18 @@ fn read_pages<E: From<ModelError>>(
         return Err(damaged("the pages do not end where the directory starts").into());
     }
     Ok(pages)
+}
+
+/// What reading the rest of a file takes, with what stays of it.
+fn bytes_at_most(header: &Header) -> Bytes {
+    let each = |count: u32, bytes: usize| u64::from(count) * bytes as u64;
+    let images = header.images.map_or(0, |section| section.bytes);
+    let page_count = header.attributes.map_or(0, |(_, count)| count);
+    // The tables are held as they are and as what they say; only then is the one let go.
+    let tables = header.materials.bytes.saturating_add(images).saturating_mul(2);
+    let records = each(header.material_count, size_of::<MaterialRecord>() + size_of::<MaterialImages>());
+    let rows = each(header.block_count, size_of::<BlockEntry>()) + each(page_count, size_of::<PageEntry>());
+    Bytes((rows + records + 2 * CHUNK_BYTES as u64 + size_of::<Model>() as u64).saturating_add(tables))
 }
 
 /// The length of a part, which the header's parser has compared with the length of the file.

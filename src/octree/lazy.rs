@@ -112,8 +112,8 @@ impl LazyOctree {
     /// `slots_max`, `policy` and `follow_free_memory` are not used, and `LeafLayout::Auto` means expanded if the slots are large enough.
     ///
     /// # Errors
-    /// [`TraceError::Budget`] if the coarse tree does not fit in the budget, the slots are too small, or there are
-    /// fewer of them than tracers.
+    /// [`TraceError::Budget`] if the coarse tree does not fit in the budget, [`TraceError::SlotsTooSmall`], or
+    /// [`TraceError::TooFewSlots`] if there are fewer of them than tracers.
     pub fn with_cache(
         source: Arc<dyn BlockSource>,
         cache: Arc<dyn GeometryCache>,
@@ -127,23 +127,13 @@ impl LazyOctree {
             LeafLayout::Auto => cache.slot_bytes() >= parts.slot_bytes(true),
         };
         let slots_least = options.tracers_max.max(1).min(parts.model.block_id_count());
-        let needed = [
-            (parts.slot_bytes(expanded), cache.slot_bytes(), "a block's tree in a slot of the given cache"),
-            (
-                Bytes(u64::from(slots_least)),
-                Bytes(u64::from(cache.slot_count())),
-                "one slot of the given cache for each tracer (counted in slots)",
-            ),
-        ];
-        for (needed, available, purpose) in needed {
-            if needed > available {
-                return Err(TraceError::Budget(BudgetError {
-                    purpose,
-                    needed,
-                    available,
-                    limit: budget.limit(),
-                }));
-            }
+        let (slot_bytes, needed) = (cache.slot_bytes(), parts.slot_bytes(expanded));
+        if slot_bytes < needed {
+            return Err(TraceError::SlotsTooSmall { slot_bytes, needed });
+        }
+        let slot_count = cache.slot_count();
+        if slot_count < slots_least {
+            return Err(TraceError::TooFewSlots { slot_count, needed: slots_least });
         }
         Ok(parts.finish(source, cache, expanded, budget, &options))
     }
@@ -224,17 +214,12 @@ impl LazyOctree {
     }
 
     /// The right to make one more tracer.
-    pub(crate) fn permit(&self) -> Result<TracerPermit<'_>, BudgetError> {
-        let limit = self.tracers_max.max(1);
-        let one_more = |count| (count < limit).then_some(count + 1);
+    pub(crate) fn permit(&self) -> Result<TracerPermit<'_>, TraceError> {
+        let tracers_max = self.tracers_max.max(1);
+        let one_more = |count| (count < tracers_max).then_some(count + 1);
         match self.tracer_count.fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_more) {
             Ok(_) => Ok(TracerPermit(&self.tracer_count)),
-            Err(_) => Err(BudgetError {
-                purpose: "more tracers than `OctreeOptions::tracers_max` (counted in tracers)",
-                needed: Bytes(1),
-                available: Bytes(0),
-                limit: Bytes(u64::from(limit)),
-            }),
+            Err(count) => Err(TraceError::TooManyTracers { wanted: count.saturating_add(1), tracers_max }),
         }
     }
 
@@ -386,4 +371,16 @@ fn slots_that_fit(available: u64, slot_bytes: Bytes, block_count: u32, policy: P
         }
     }
     fitting
+}
+
+impl std::fmt::Debug for LazyOctree {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LazyOctree")
+            .field("block_count", &self.block_count())
+            .field("slot_count", &self.cache.slot_count())
+            .field("leaf_layout", &self.leaf_layout())
+            .field("tier", &self.tier)
+            .field("tracers_max", &self.tracers_max)
+            .finish_non_exhaustive()
+    }
 }

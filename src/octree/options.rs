@@ -1,11 +1,14 @@
 //! What a caller can choose when an octree is opened.
 
+use serde::{Deserialize, Serialize};
+
 use crate::cache::Policy;
 use crate::free_memory::FollowFreeMemory;
 use crate::simd::SimdLevel;
 
 /// How sure a hit is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Tier {
     /// Decided in f32 right in the kernel: no guarantee near edges, at grazing angles or far from the origin, and
     /// results may differ between instruction sets.

@@ -169,6 +169,12 @@ impl Canvas {
     }
 }
 
+impl std::fmt::Debug for RegionRenderer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RegionRenderer").finish_non_exhaustive()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -194,7 +194,7 @@ impl<'a> Renderer<'a> {
     ///
     /// # Errors
     /// [`RenderError::Budget`] if film and scratch do not fit, [`RenderError::Trace`] if a block cannot be brought
-    /// in, or if there are more threads than tracers. There is no picture then.
+    /// in, or, before anything is drawn, if there are more threads than tracers ([`TraceError::TooManyTracers`]). There is no picture then.
     pub fn render(
         &self,
         threads: &Threads,
@@ -211,6 +211,10 @@ impl<'a> Renderer<'a> {
         thresholds: &Thresholds<'_>,
         progress: &mut (dyn FnMut(Progress) -> Control + Send),
     ) -> Result<RenderedImage, RenderError> {
+        let (wanted, tracers_max) = (workers::worker_count(threads) as u32, self.geometry.tracers_max());
+        if wanted > tracers_max {
+            return Err(TraceError::TooManyTracers { wanted, tracers_max }.into());
+        }
         let cache_before = self.geometry.cache_stats();
         let (picture, waiting) = match self.waiting(threads) {
             Some((octree, plan)) => {
@@ -522,5 +526,11 @@ fn since(before: &CacheStats, after: &CacheStats) -> CacheStats {
         evictions: after.evictions - before.evictions,
         stalls: after.stalls - before.stalls,
         filled_bytes: after.filled_bytes - before.filled_bytes,
+    }
+}
+
+impl std::fmt::Debug for Renderer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Renderer").field("plan", &self.plan).finish_non_exhaustive()
     }
 }

@@ -400,3 +400,9 @@ impl AdaptiveScheduler {
         Ok(())
     }
 }
+
+impl std::fmt::Debug for AdaptiveScheduler {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("AdaptiveScheduler").finish_non_exhaustive()
+    }
+}

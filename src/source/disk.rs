@@ -5,8 +5,9 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::{BlockSource, OpenError, block_name, page_name, place_of, place_of_page};
-use crate::error::SourceError;
+use super::{BlockSource, DIRECTORY, OpenError, block_name, page_name, place_of, place_of_page};
+use crate::budget::MemoryBudget;
+use crate::error::{BudgetError, SourceError};
 use crate::model::{Model, ModelReader};
 use crate::units::{BlockId, Bytes};
 
@@ -52,12 +53,38 @@ impl DiskSource {
     /// # Errors
     /// [`SourceError`] if the file cannot be read or is not a sound compiled file.
     pub fn open_with(path: impl AsRef<Path>, page_cache: PageCache) -> Result<DiskSource, SourceError> {
-        let path = path.as_ref();
+        DiskSource::open_if(path.as_ref(), page_cache, |_| Ok(()))
+    }
+
+    /// Opens a compiled file if `budget` has room for its directory and materials (about 150 bytes for each block), which is asked before
+    /// they are allocated (I1). The room is given back when this returns: the octree that is opened over the source takes it again, for as
+    /// long as it lives.
+    ///
+    /// # Errors
+    /// [`SourceError::Budget`], or as for [`DiskSource::open`].
+    pub fn open_in(
+        path: impl AsRef<Path>,
+        page_cache: PageCache,
+        budget: &MemoryBudget,
+    ) -> Result<DiskSource, SourceError> {
+        let mut room = None;
+        DiskSource::open_if(path.as_ref(), page_cache, |bytes| {
+            room = Some(budget.reserve(bytes, DIRECTORY)?);
+            Ok(())
+        })
+    }
+
+    fn open_if(
+        path: &Path,
+        page_cache: PageCache,
+        claim: impl FnOnce(Bytes) -> Result<(), BudgetError>,
+    ) -> Result<DiskSource, SourceError> {
         let name = path.display().to_string();
         let failed = |error| SourceError::Io { what: "the header".to_owned(), name: name.clone(), error };
         let file = File::open(path).map_err(failed)?;
         let file_bytes = file.metadata().map_err(failed)?.len();
-        let model = ModelReader::read(file_bytes, |what, offset, into: &mut [u8]| {
+        let claim = |bytes| claim(bytes).map_err(|error| OpenError::Source(error.into()));
+        let model = ModelReader::read_if(file_bytes, claim, |what, offset, into: &mut [u8]| {
             read_exact_at(&file, offset, into)
                 .map_err(|error| OpenError::Source(read_error(error, what.to_owned(), &name, &file)))
         });

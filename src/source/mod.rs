@@ -95,6 +95,9 @@ fn page_name(page: u32) -> String {
     format!("page {page} of the attributes")
 }
 
+/// What room for a model's directory is asked of a budget for.
+pub(crate) const DIRECTORY: &str = "the model's directory and materials";
+
 /// What a block is called in errors.
 fn block_name(block: BlockId) -> String {
     format!("block {}", block.0)

@@ -198,3 +198,9 @@ impl TextureReader<'_> {
         Ok([r, g, b, f32::from(a) / 255.0])
     }
 }
+
+impl std::fmt::Debug for TextureReader<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("TextureReader").finish_non_exhaustive()
+    }
+}

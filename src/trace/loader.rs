@@ -373,3 +373,9 @@ impl Drop for LoadQueue<'_> {
         drop(inbox);
     }
 }
+
+impl std::fmt::Debug for BlockLoader<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("BlockLoader").finish_non_exhaustive()
+    }
+}

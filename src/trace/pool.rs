@@ -112,8 +112,8 @@ impl LazyOctree {
     /// A pool of rays for the calling thread, or for one that it is sent to. Counts as a tracer.
     ///
     /// # Errors
-    /// [`TraceError::Budget`] if the budget has no room for it ([`RayPool::bytes_needed`] and a tracer's scratch), or
-    /// `tracers_max` tracers live already.
+    /// [`TraceError::Budget`] if the budget has no room for it ([`RayPool::bytes_needed`] and a tracer's scratch),
+    /// [`TraceError::TooManyTracers`] if `tracers_max` tracers live already.
     pub fn ray_pool(&self, options: PoolOptions) -> Result<RayPool<'_>, TraceError> {
         RayPool::new(self, options, None)
     }
@@ -470,5 +470,11 @@ impl Kernel for Any<'_, '_> {
             }
         }
         Ok(())
+    }
+}
+
+impl std::fmt::Debug for RayPool<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RayPool").finish_non_exhaustive()
     }
 }

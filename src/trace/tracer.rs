@@ -43,7 +43,7 @@ impl LazyOctree {
     /// A tracer for the calling thread, or for one that it is sent to.
     ///
     /// # Errors
-    /// [`TraceError::Budget`] if the budget has no room for its scratch, or `tracers_max` tracers live already.
+    /// [`TraceError::Budget`] if the budget has no room for its scratch, [`TraceError::TooManyTracers`] if `tracers_max` tracers live already.
     pub fn tracer(&self) -> Result<Tracer<'_>, TraceError> {
         let permit = self.permit()?;
         let reservation = self.budget.reserve(tracer_bytes(&*self.source), "a tracer's scratch")?;
@@ -353,4 +353,10 @@ pub(super) fn enter<S: Simd, Q: Query>(simd: S, octree: &LazyOctree, query: Q) -
         }
     }
     simd.enter(Each::<Q, Selected>(query, PhantomData))
+}
+
+impl std::fmt::Debug for Tracer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Tracer").field("counters", &self.counters).finish_non_exhaustive()
+    }
 }

@@ -127,3 +127,15 @@ impl Drop for LocalTransport {
         self.close();
     }
 }
+
+impl std::fmt::Debug for LocalNetwork {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LocalNetwork").finish_non_exhaustive()
+    }
+}
+
+impl std::fmt::Debug for LocalTransport {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LocalTransport").finish_non_exhaustive()
+    }
+}

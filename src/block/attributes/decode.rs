@@ -157,3 +157,9 @@ fn column<const WIDTH: usize>(planes: &[u8], count: usize) -> impl Iterator<Item
         value
     })
 }
+
+impl std::fmt::Debug for PageDecodeScratch {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PageDecodeScratch").finish_non_exhaustive()
+    }
+}

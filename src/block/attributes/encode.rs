@@ -151,3 +151,9 @@ pub fn encode_page(
     out[8..12].copy_from_slice(&(payload.len() as u32).to_le_bytes());
     Ok(Some(PageCheck { page: 0, checksum: checksum(out), uv_count: counts[0], normal_count: counts[1] }))
 }
+
+impl std::fmt::Debug for PageEncodeScratch {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PageEncodeScratch").finish_non_exhaustive()
+    }
+}

@@ -19,7 +19,7 @@ use super::working_file::WorkingFile;
 use crate::block::checksum;
 use crate::budget::{Allowance, MemoryBudget, Reservation};
 use crate::error::{CompileError, ModelError};
-use crate::import::{ImportOptions, source_record};
+use crate::import::{ImportOptions, ImportReport, source_record};
 use crate::model::{
     BlockEntry, CellEntry, CellRecord, Model, SourceRecord, WORKING_HEADER_BYTES, WorkingHeader,
     WorkingOptions,
@@ -52,7 +52,7 @@ impl Default for LazyOptions {
     }
 }
 
-/// How far a lazy compile has come.
+/// How far a lazy compile has come. What the reader of the model file has to say is in [`LazyModel::import_report`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LazyReport {
     /// Triangles of the model.
@@ -156,6 +156,8 @@ pub struct LazyModel {
     allowance: Allowance,
     was_reopened: bool,
     first_pass: PhaseSeconds,
+    /// What the reader of the model file reports, if the file was read now.
+    import: Option<ImportReport>,
     _memory: Vec<Reservation>,
 }
 
@@ -184,7 +186,12 @@ impl LazyModel {
             compiler.leave_attributes_out();
         };
         let ending = KeepCells::of(working, options);
-        let (import, end) = (ImportOptions::default(), |compiler: Compiler<'_>| compiler.end(ending));
+        let end = |compiler: Compiler<'_>, import| {
+            let mut model = compiler.end(ending)?;
+            model.import = Some(import);
+            Ok(model)
+        };
+        let import = ImportOptions::default();
         read_file(input, &import, output, source, &options.compile, budget, progress, &mut prepare, end)
     }
 
@@ -304,6 +311,7 @@ impl LazyModel {
             allowance,
             was_reopened: false,
             first_pass,
+            import: None,
             _memory: memory,
         })
     }
@@ -341,6 +349,13 @@ impl LazyModel {
             first_pass: self.first_pass,
             cut,
         }
+    }
+
+    /// What the reader of the model file left out or had to guess; `None` if the file was not read now
+    /// ([`LazyReport::was_reopened`]), or if the geometry came from no file. It stops nothing, so show its warnings to whoever opened the
+    /// model.
+    pub fn import_report(&self) -> Option<&ImportReport> {
+        self.import.as_ref()
     }
 
     /// Whether a cell is cut.

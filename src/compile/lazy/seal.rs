@@ -81,6 +81,7 @@ impl LazyModel {
             degenerate: written.degenerate,
             duplicates: written.duplicates,
             skipped: header.skipped,
+            import: self.import_report().cloned(),
             triangles_with_attributes: 0,
             attribute_bytes: 0,
             precision: header.precision,

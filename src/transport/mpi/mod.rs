@@ -266,3 +266,15 @@ impl Drop for MpiTransport {
         self.close();
     }
 }
+
+impl std::fmt::Debug for MpiJob {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("MpiJob").finish_non_exhaustive()
+    }
+}
+
+impl std::fmt::Debug for MpiTransport {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("MpiTransport").finish_non_exhaustive()
+    }
+}
