@@ -2,7 +2,8 @@
 
 use glam::DVec3;
 
-use super::samples::{NONE, Sample};
+use super::places::{NONE, Places};
+use super::samples::Sample;
 use crate::geom::Ray;
 use crate::render::shadows::{OpenClaim, Walker};
 
@@ -16,28 +17,25 @@ pub(super) struct Claim {
     pub walker: Walker,
     /// Whether it passes only surfaces that do not bend light.
     pub straight_only: bool,
-    /// The sample's next claim, or the next free place.
+    /// The sample's next claim.
     next: u32,
 }
 
-/// Places for claims.
+/// The claims of all samples, each sample's in a list.
 pub(super) struct Claims {
-    claims: Vec<Claim>,
-    capacity: u32,
-    free_list: u32,
-    count: u32,
+    claims: Places<Claim>,
 }
 
 impl Claims {
     pub fn new(capacity: u32) -> Claims {
-        Claims { claims: Vec::with_capacity(capacity as usize), capacity, free_list: NONE, count: 0 }
+        Claims { claims: Places::new(capacity) }
     }
 
     /// What [`Claims::new`] allocates for each.
-    pub const BYTES_OF_ONE: usize = size_of::<Claim>();
+    pub const BYTES_OF_ONE: usize = Places::<Claim>::BYTES_OF_ONE;
 
     pub fn room(&self) -> u32 {
-        self.capacity - self.count
+        self.claims.room()
     }
 
     /// Puts a claim at the end of its sample's. Who calls it has made sure that there is room.
@@ -45,41 +43,30 @@ impl Claims {
         let OpenClaim { contribution, ray, straight_only, .. } = open;
         let (walker, lost) = (Walker::new(0, &ray), 0.0);
         let claim = Claim { sample: place, contribution, lost, ray, walker, straight_only, next: NONE };
-        let index = match self.free_list {
-            NONE => {
-                debug_assert!(self.claims.len() < self.capacity as usize);
-                self.claims.push(claim);
-                self.claims.len() as u32 - 1
-            }
-            index => {
-                self.free_list = self.claims[index as usize].next;
-                self.claims[index as usize] = claim;
-                index
-            }
-        };
+        let index = self.claims.add(claim);
         match sample.last_claim {
             NONE => sample.first_claim = index,
-            last => self.claims[last as usize].next = index,
+            last => self.claims.get_mut(last).next = index,
         }
         sample.last_claim = index;
         sample.open += 1;
-        self.count += 1;
         index
     }
 
     pub fn get_mut(&mut self, index: u32) -> &mut Claim {
-        &mut self.claims[index as usize]
+        self.claims.get_mut(index)
     }
 
     /// Adds what all claims of a sample brought, in the order in which they came, and forgets them.
     pub fn settle(&mut self, sample: &mut Sample) {
         let mut index = sample.first_claim;
-        while let Some(claim) = self.claims.get_mut(index as usize) {
+        while index != NONE {
+            let claim = self.claims.get(index);
             sample.radiance += claim.contribution;
             sample.lost_by_shadows += claim.lost;
-            let next = std::mem::replace(&mut claim.next, self.free_list);
-            self.free_list = std::mem::replace(&mut index, next);
-            self.count -= 1;
+            let next = claim.next;
+            self.claims.remove(index);
+            index = next;
         }
         (sample.first_claim, sample.last_claim) = (NONE, NONE);
     }

@@ -9,6 +9,7 @@
 //! alone goes on with what is kept for it, so that it ends and gives back what it holds.
 
 mod claims;
+mod places;
 mod plan;
 mod query;
 mod samples;

@@ -2,13 +2,11 @@
 
 use glam::DVec3;
 
+use super::places::{NONE, Places};
 use crate::geom::Ray;
 use crate::render::bounce::Walk;
 use crate::render::paths::{Head, Waiting};
 use crate::trace::Hit;
-
-/// Nothing more in a list.
-pub(super) const NONE: u32 = u32::MAX;
 
 /// A sample on its way.
 #[derive(Clone, Copy, Debug)]
@@ -28,7 +26,7 @@ pub(super) struct Sample {
     /// Its claims to light, the oldest first.
     pub first_claim: u32,
     pub last_claim: u32,
-    /// Its rays that wait for a sibling, the youngest on top; for a free place, the next one.
+    /// Its rays that wait for a sibling, the youngest on top.
     pub stack: u32,
 }
 
@@ -51,72 +49,47 @@ impl Sample {
     }
 }
 
-/// Places for samples.
+/// The samples on their way.
 pub(super) struct Samples {
-    samples: Vec<Sample>,
+    samples: Places<Sample>,
     /// The state of each path, in loops that sample effects.
     walks: Vec<Option<Walk>>,
-    capacity: u32,
-    free_list: u32,
-    count: u32,
 }
 
 impl Samples {
     pub fn new(capacity: u32, with_walks: bool) -> Samples {
-        Samples {
-            samples: Vec::with_capacity(capacity as usize),
-            walks: vec![None; if with_walks { capacity as usize } else { 0 }],
-            capacity,
-            free_list: NONE,
-            count: 0,
-        }
+        Samples { samples: Places::new(capacity), walks: walks(capacity, with_walks) }
     }
 
     /// What [`Samples::new`] allocates for each.
     pub fn bytes_of_one(with_walks: bool) -> usize {
-        size_of::<Sample>() + if with_walks { size_of::<Option<Walk>>() } else { 0 }
+        Places::<Sample>::BYTES_OF_ONE + bytes_of_walk(with_walks)
     }
 
     pub fn count(&self) -> u32 {
-        self.count
+        self.samples.count()
     }
 
     pub fn room(&self) -> u32 {
-        self.capacity - self.count
+        self.samples.room()
     }
 
-    /// A place for one more, if there is any.
-    pub fn begin(&mut self, tile: u32, index: u64) -> Option<u32> {
-        let sample = Sample::new(tile, index);
-        let place = match self.free_list {
-            NONE if self.samples.len() < self.capacity as usize => {
-                self.samples.push(sample);
-                self.samples.len() as u32 - 1
-            }
-            NONE => return None,
-            place => {
-                self.free_list = self.samples[place as usize].stack;
-                self.samples[place as usize] = sample;
-                place
-            }
-        };
-        self.count += 1;
-        Some(place)
+    /// A place for one more. Who calls it has made sure that there is room.
+    pub fn begin(&mut self, tile: u32, index: u64) -> u32 {
+        self.samples.add(Sample::new(tile, index))
     }
 
     /// Gives back the place of a sample that is done.
     pub fn end(&mut self, place: u32) {
-        self.samples[place as usize].stack = self.free_list;
-        self.free_list = place;
-        self.count -= 1;
+        self.samples.remove(place);
     }
 
     pub fn get(&self, place: u32) -> &Sample {
-        &self.samples[place as usize]
+        self.samples.get(place)
     }
 
     pub fn get_mut(&mut self, place: u32) -> &mut Sample {
-        &mut self.samples[place as usize]
+        self.samples.get_mut(place)
     }
 
     pub fn walk(&self, place: u32) -> Option<Walk> {
@@ -133,73 +106,61 @@ impl Samples {
 /// A ray that waits for its sibling's tree to end.
 struct Entry {
     ray: Waiting,
-    /// The one below it in its stack, or the next free one.
+    /// The one below it in its stack.
     below: u32,
 }
 
 /// The stacks of all samples in one store.
 pub(super) struct Stacks {
-    entries: Vec<Entry>,
+    entries: Places<Entry>,
     walks: Vec<Option<Walk>>,
-    capacity: u32,
-    free_list: u32,
-    count: u32,
 }
 
 impl Stacks {
     pub fn new(capacity: u32, with_walks: bool) -> Stacks {
-        Stacks {
-            entries: Vec::with_capacity(capacity as usize),
-            walks: vec![None; if with_walks { capacity as usize } else { 0 }],
-            capacity,
-            free_list: NONE,
-            count: 0,
-        }
+        Stacks { entries: Places::new(capacity), walks: walks(capacity, with_walks) }
     }
 
     /// What [`Stacks::new`] allocates for each entry.
     pub fn bytes_of_one(with_walks: bool) -> usize {
-        size_of::<Entry>() + if with_walks { size_of::<Option<Walk>>() } else { 0 }
+        Places::<Entry>::BYTES_OF_ONE + bytes_of_walk(with_walks)
     }
 
     pub fn room(&self) -> u32 {
-        self.capacity - self.count
+        self.entries.room()
     }
 
     /// Puts a ray on top of a stack. Who calls it has made sure that there is room.
     pub fn push(&mut self, stack: &mut u32, ray: Waiting, walk: Option<Walk>) {
-        let entry = Entry { ray, below: *stack };
-        let place = match self.free_list {
-            NONE => {
-                debug_assert!(self.entries.len() < self.capacity as usize);
-                self.entries.push(entry);
-                self.entries.len() as u32 - 1
-            }
-            place => {
-                self.free_list = self.entries[place as usize].below;
-                self.entries[place as usize] = entry;
-                place
-            }
-        };
-        if let Some(of_ray) = self.walks.get_mut(place as usize) {
+        *stack = self.entries.add(Entry { ray, below: *stack });
+        if let Some(of_ray) = self.walks.get_mut(*stack as usize) {
             *of_ray = walk;
         }
-        self.count += 1;
-        *stack = place;
     }
 
     /// The ray on top.
     pub fn top(&self, stack: u32) -> Option<(Waiting, Option<Walk>)> {
-        let entry = self.entries.get(stack as usize)?;
-        Some((entry.ray, self.walks.get(stack as usize).copied().flatten()))
+        (stack != NONE).then(|| {
+            let walk = self.walks.get(stack as usize).copied().flatten();
+            (self.entries.get(stack).ray, walk)
+        })
     }
 
-    /// Takes the ray on top away.
+    /// Takes the ray on top away, if there is one.
     pub fn pop(&mut self, stack: &mut u32) {
-        if let Some(entry) = self.entries.get_mut(*stack as usize) {
-            let below = std::mem::replace(&mut entry.below, self.free_list);
-            self.free_list = std::mem::replace(stack, below);
-            self.count -= 1;
+        if *stack != NONE {
+            let below = self.entries.get(*stack).below;
+            self.entries.remove(*stack);
+            *stack = below;
         }
     }
+}
+
+/// Room for the state of a path beside each place, if there are any.
+fn walks(capacity: u32, with_walks: bool) -> Vec<Option<Walk>> {
+    vec![None; if with_walks { capacity as usize } else { 0 }]
+}
+
+fn bytes_of_walk(with_walks: bool) -> usize {
+    if with_walks { size_of::<Option<Walk>>() } else { 0 }
 }

@@ -6,9 +6,10 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::claims::Claims;
+use super::places::NONE;
 use super::plan::{ASKED_MAX, WaitingPlan, has_walks, leaves_claims_open};
 use super::query::PoolQuery;
-use super::samples::{NONE, Samples, Stacks};
+use super::samples::{Samples, Stacks};
 use super::tiles::{NextTile, Tiles};
 use crate::error::TraceError;
 use crate::render::counters::EffectCounters;
@@ -162,7 +163,7 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
         while self.batch.len() < count {
             let Some((tile, index)) = self.tiles.next(self.stage, next_tile) else { break };
             // There is room for as many as were counted.
-            self.batch.extend(self.samples.begin(tile, index));
+            self.batch.push(self.samples.begin(tile, index));
         }
         if self.batch.is_empty() {
             return Ok(false);
