@@ -192,10 +192,7 @@ impl Shared<'_> {
             totals.effects.merge(&worker.effects());
             totals.trace.merge(&worker.trace());
             totals.seconds.merge(&worker.seconds());
-            let loads = worker.loads();
-            totals.loads.loading += loads.loading;
-            totals.loads.stall += loads.stall;
-            totals.loads.in_flight_peak = totals.loads.in_flight_peak.max(loads.in_flight_peak);
+            totals.loads.merge(&worker.loads());
             result.map(|_| ())
         });
         self.end(tile, result.map_err(RenderError::from));

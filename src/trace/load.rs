@@ -24,6 +24,15 @@ pub struct LoadStats {
     pub in_flight_peak: u32,
 }
 
+impl LoadStats {
+    /// Adds what another thread did; the peak is that of either.
+    pub(crate) fn merge(&mut self, other: &LoadStats) {
+        self.loading += other.loading;
+        self.stall += other.stall;
+        self.in_flight_peak = self.in_flight_peak.max(other.in_flight_peak);
+    }
+}
+
 /// Memory for loading one block, allocated once.
 pub(super) struct LoadScratch {
     stored: Vec<u8>,

@@ -263,10 +263,7 @@ impl<'o> RayPool<'o> {
     pub fn load_stats(&self) -> LoadStats {
         let mut stats = self.tracer.load_stats();
         if let Some(in_flight) = &self.in_flight {
-            let LoadStats { loading, stall, in_flight_peak } = in_flight.stats();
-            stats.loading += loading;
-            stats.stall += stall;
-            stats.in_flight_peak = in_flight_peak;
+            stats.merge(&in_flight.stats());
         }
         stats
     }
