@@ -37,8 +37,7 @@ pub(super) fn decode(
         let reason = format!("ends at byte {file_bytes}; an image should be at bytes {place:?}");
         return Err(refused(path, reason));
     }
-    let mut file = FilePart::new(file, place);
-    file.rewind().map_err(io)?;
+    let mut file = FilePart::new(file, place).map_err(io)?;
     let mut start = [0; 4];
     let count = file.read(&mut start).map_err(io)?;
     file.rewind().map_err(io)?;

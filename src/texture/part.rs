@@ -14,9 +14,10 @@ pub(super) struct FilePart {
 }
 
 impl FilePart {
-    /// To be rewound before the first read. `place` must lie inside the file.
-    pub fn new(file: File, place: Range<u64>) -> FilePart {
-        FilePart { file, place, position: 0 }
+    /// `place` must lie inside the file.
+    pub fn new(mut file: File, place: Range<u64>) -> io::Result<FilePart> {
+        file.seek(SeekFrom::Start(place.start))?;
+        Ok(FilePart { file, place, position: 0 })
     }
 
     fn len(&self) -> u64 {
@@ -60,9 +61,8 @@ mod tests {
     fn a_part_is_a_file_of_its_own() {
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(b"0123456789").unwrap();
-        let mut part = FilePart::new(file, 3..8);
+        let mut part = FilePart::new(file, 3..8).unwrap();
         let mut text = String::new();
-        part.rewind().unwrap();
         part.read_to_string(&mut text).unwrap();
         assert_eq!(text, "34567");
         let mut rest = |part: &mut FilePart| {
