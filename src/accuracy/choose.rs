@@ -6,7 +6,7 @@ use super::job::{Job, ask};
 use super::predict::Prediction;
 use crate::error::RenderError;
 use crate::render::probe::Probe;
-use crate::render::{AdaptiveSampling, RenderSettings, Renderer, SceneTracer};
+use crate::render::{AdaptiveSampling, SceneTracer};
 
 /// What is aimed at of an error goal.
 const AIM: f64 = 0.95;
@@ -32,8 +32,7 @@ impl Job<'_, '_> {
         let mut cut_before = f64::INFINITY;
         // Few pixels tell the size of what is cut off.
         for _ in 0..8 {
-            let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
-            let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+            let renderer = self.probe_renderer(contribution_bound)?;
             let probe = self.probe(&renderer, 4)?;
             let first = self.prediction(&probe);
             let cut = match metric {
@@ -50,8 +49,7 @@ impl Job<'_, '_> {
             contribution_bound *= libm::pow(most / cut, power).clamp(1.0 / 64.0, 0.6);
             cut_before = cut;
         }
-        let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
-        let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+        let renderer = self.probe_renderer(contribution_bound)?;
         let mut probe = self.probe(&renderer, 1)?;
         let chosen = match self.few_samples(&probe, metric, bound) {
             Some(samples) => Ok(Chosen::Fixed(samples)),
@@ -68,8 +66,7 @@ impl Job<'_, '_> {
         metric: Metric,
         bound: f64,
     ) -> Result<f64, RenderError> {
-        let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
-        let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+        let renderer = self.probe_renderer(contribution_bound)?;
         let mut probe = self.probe(&renderer, 1)?;
         let deviation = self.choose_deviation(&mut probe, metric, bound);
         self.count(&probe);

@@ -15,7 +15,7 @@ use crate::units::TileId;
 
 /// Pixels that a probe looks at, at most one in [`PROBE_SHARE`].
 pub(super) const PROBE_PIXELS: u32 = 4096;
-pub(super) const PROBE_SHARE: u64 = 16;
+const PROBE_SHARE: u64 = 16;
 /// Confidence of the intervals of pixels where the goal is about the whole picture. It only scales the threshold.
 pub(super) const PIXEL_CONFIDENCE: f64 = 0.95;
 
@@ -59,7 +59,7 @@ impl<'a, 'p> Job<'a, 'p> {
     }
 }
 
-impl Job<'_, '_> {
+impl<'a> Job<'a, '_> {
     pub fn pixels_total(&self) -> u64 {
         u64::from(self.settings.width) * u64::from(self.settings.height)
     }
@@ -81,6 +81,12 @@ impl Job<'_, '_> {
             confidence,
             thresholds: vec![TileThreshold { first_tile: TileId(0), error }],
         }
+    }
+
+    /// For probes at another contribution bound than that of the settings.
+    pub fn probe_renderer(&self, contribution_bound: f64) -> Result<Renderer<'a>, RenderError> {
+        let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
+        Renderer::new(self.octree, self.scene, &settings, self.budget)
     }
 
     /// Settings under which a pixel's samples are those that the picture will have.
