@@ -1,11 +1,11 @@
-//! AVX2 and FMA.
+//! AVX2 and FMA, with the bit instructions that every CPU with them has too.
 
 use std::arch::x86_64::*;
 
 use super::lanes::{LANES, Simd};
 use super::level::Operation;
 
-/// Exists only where the CPU has AVX2 and FMA, and is used only inside [`Avx2::enter`].
+/// Exists only where the CPU has AVX2, FMA, BMI1 and 2, LZCNT and POPCNT, and is used only inside [`Avx2::enter`].
 #[derive(Clone, Copy, Debug)]
 pub struct Avx2 {
     // Private: `detect` is the only way to make one.
@@ -16,14 +16,22 @@ impl Avx2 {
     /// The token, if this CPU has the instructions. Cheap: the standard library remembers the answer.
     #[inline]
     pub fn detect() -> Option<Avx2> {
-        (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Avx2 { _proof: () })
+        // The bit instructions came with AVX2 in all CPUs. They shift without flags and take bits off a mask in one step, which
+        // is what traversals do between vector instructions.
+        let is_there = is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("fma")
+            && is_x86_feature_detected!("bmi1")
+            && is_x86_feature_detected!("bmi2")
+            && is_x86_feature_detected!("lzcnt")
+            && is_x86_feature_detected!("popcnt");
+        is_there.then_some(Avx2 { _proof: () })
     }
 }
 
 /// Calls an intrinsic that touches no memory.
 macro_rules! pure {
     ($call:expr) => {
-        // SAFETY: `self` exists only if the CPU has AVX2 and FMA; the intrinsic only computes.
+        // SAFETY: `self` exists only if the CPU has the instructions; the intrinsic only computes.
         unsafe { $call }
     };
 }
@@ -36,12 +44,12 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn enter<O: Operation<Avx2>>(self, operation: O) -> O::Output {
-        #[target_feature(enable = "avx2,fma")]
+        #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
         #[inline(never)]
         fn inside<O: Operation<Avx2>>(token: Avx2, operation: O) -> O::Output {
             operation.run(token)
         }
-        // SAFETY: a token exists only if `detect` found both features.
+        // SAFETY: a token exists only if `detect` found all of these features.
         unsafe { inside(self, operation) }
     }
     #[inline(always)]

@@ -327,5 +327,5 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
 /// A bit for each of the first `count` lanes.
 #[inline(always)]
 pub(crate) fn lanes_in_use(count: usize) -> u32 {
-    !(u64::MAX << count.min(63)) as u32
+    (1 << count.min(LANES)) - 1
 }

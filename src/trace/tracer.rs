@@ -70,6 +70,9 @@ impl<'o> Tracer<'o> {
 
     /// Finds for each ray the hit with the least (t, triangle id), and puts it at the ray's place in `hits`.
     ///
+    /// Rays that go much the same way are quicker if they follow each other, and some hundred at a time (8 to 256, by a multiple of 8) are
+    /// quicker than one by one or thousands, whose hits leave the processor's first cache before they are looked at.
+    ///
     /// # Errors
     /// [`TraceError::InvalidRay`], or [`TraceError::Load`] if a block that a ray reached cannot be brought in; `hits` is
     /// not to be used then.
