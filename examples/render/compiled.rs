@@ -8,10 +8,11 @@ use outcrop::compile::{
     CompileOptions, CompileReport, Compiler, Control, LazyModel, LazyOptions, Phase, Progress, Threads,
     compile_file_with, compile_shape,
 };
+use outcrop::error::SourceError;
 use outcrop::import::{GltfPart, ImportOptions, ImportReport, source_record_of};
 use outcrop::model::SourceRecord;
 use outcrop::procedural::{Gears, Shape};
-use outcrop::source::DiskSource;
+use outcrop::source::{DiskSource, PageCache};
 use outcrop::{BlockSource, MemoryBudget};
 
 use crate::common::interrupt::Interrupt;
@@ -85,7 +86,7 @@ pub fn prepare(
     }
 
     let path = options.compiled.clone().unwrap_or_else(|| beside_part(model, &options.part));
-    let reason = match reason_to_compile(options, model, &path)? {
+    let reason = match reason_to_compile(options, model, &path, budget)? {
         None => {
             let part = of(&options.part);
             let story = format!("{}{part}, unchanged since it was compiled", model.display());
@@ -182,6 +183,7 @@ fn reason_to_compile(
     options: &Options,
     model: &Path,
     compiled: &Path,
+    budget: &MemoryBudget,
 ) -> Result<Option<&'static str>, Box<dyn Error>> {
     let record = source_record_of(model, &import_options(options))?;
     if options.asks_to_compile() {
@@ -190,9 +192,11 @@ fn reason_to_compile(
     if !compiled.exists() {
         return Ok(Some("compiled for the first time"));
     }
-    Ok(match DiskSource::open(compiled) {
+    Ok(match DiskSource::open_in(compiled, PageCache::Use, budget) {
         Ok(source) if source.model().source == record => None,
         Ok(_) => Some("compiled again because it changed"),
+        // The file may be as sound as can be.
+        Err(error @ SourceError::Budget(_)) => return Err(error.into()),
         Err(_) => Some("compiled again because the compiled file is damaged or of another version"),
     })
 }
