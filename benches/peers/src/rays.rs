@@ -1,5 +1,7 @@
 //! The rays that all tracers get: numbers that are exact in f32, so that nobody rounds them differently.
 
+use std::ops::Range;
+
 use outcrop::geom::Ray;
 use outcrop::procedural::Gears;
 
@@ -9,7 +11,9 @@ use crate::numbers::{Random, along, cross, dot, minus, unit};
 
 /// Edge length of the tiles in which an image is traced. Rays of a tile are neighbours in memory.
 const TILE: usize = 32;
-pub const RAYS_PER_CALL: usize = TILE * TILE;
+/// How many rays a tracer gets at a time: what it says of them stays in the first cache, with the rays. Tracers that take rays one by one
+/// have nothing from it and lose nothing by it.
+pub const RAYS_PER_CALL: usize = 128;
 
 /// Of the standard view of the gears.
 pub const VERTICAL_FIELD_DEGREES: f64 = 45.0;
@@ -61,10 +65,18 @@ impl Rays {
     }
 
     /// `0 .. len` in pieces of one call each.
-    pub fn calls(&self) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
-        let len = self.len();
-        (0..len).step_by(RAYS_PER_CALL).map(move |start| start..len.min(start + RAYS_PER_CALL))
+    pub fn calls(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        pieces(self.len(), RAYS_PER_CALL)
     }
+
+    /// `0 .. len` in pieces of one tile each, if these are the rays of pixels.
+    fn tiles(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        pieces(self.len(), TILE * TILE)
+    }
+}
+
+fn pieces(len: usize, size: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..len).step_by(size).map(move |start| start..len.min(start + size))
 }
 
 /// One ray through each pixel's centre of the standard view, `size` x `size`, tile by tile, with its pixel.
@@ -117,7 +129,7 @@ pub fn lift_surface(ray: &Ray, surface: Surface) -> Option<Lifted> {
 /// From every hit to each light, unless the surface faces away; in the order in which renderers ask: tile by tile, light by light.
 pub fn shadow(mesh: &Mesh, primary: &Rays, found: &[Found]) -> Rays {
     let mut rays = Rays::default();
-    for range in primary.calls() {
+    for range in primary.tiles() {
         let hits = primary.double[range.clone()].iter().zip(&found[range]);
         let lifted: Vec<Lifted> = hits.filter_map(|(ray, found)| lift(mesh, ray, *found)).collect();
         for light in Gears::LAMPS {
