@@ -34,6 +34,10 @@ const RETRY: Duration = Duration::from_millis(500);
 /// How often the coordinator makes its checkpoint safe.
 const SAFE: Duration = Duration::from_secs(1);
 
+/// How long squares of pixels should take whose rays wait: the more samples are on their way, the more share a load. Not so long that results
+/// come late.
+const WAITING_SQUARE_TIME: Duration = Duration::from_secs(1);
+
 /// A node ended before its work was done.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -322,8 +326,12 @@ pub fn run_worker(
         };
         scope.spawn(pump);
         let (notes_in, notes) = mpsc::channel();
+        let mut worker = Worker::new(&options.name, options.lanes, model, options.roles);
+        if options.waiting != WaitingRays::Never {
+            worker = worker.with_square_time(WAITING_SQUARE_TIME);
+        }
         let mut engine = Engine {
-            worker: Worker::new(&options.name, options.lanes, model, options.roles),
+            worker,
             reconnect: Reconnect::new(control, address, options.patience),
             control,
             events,
