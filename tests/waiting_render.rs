@@ -5,6 +5,7 @@
 mod compiling;
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use compiling::{Mesh, compile};
 use outcrop::compile::{CompileOptions, Compiler, Control, LazyModel, LazyOptions, Threads};
@@ -14,7 +15,8 @@ use outcrop::model::{MaterialRecord, SourceRecord};
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Gears, Shape, Tessellation};
 use outcrop::render::{
-    AdaptiveSampling, Outcome, PathEnd, RenderSettings, RenderedImage, Renderer, WaitingRays,
+    AdaptiveSampling, Outcome, PathEnd, Region, RegionCounters, RenderSettings, RenderedImage, Renderer,
+    WaitingRays,
 };
 use outcrop::scene::{Camera, EffectSet, Environment, Finish, Light, LightShape, Scene};
 use outcrop::source::MemorySource;
@@ -406,5 +408,195 @@ fn a_lazy_model_is_the_same() {
             .unwrap();
         assert!(image.film.pixels() == reference.film.pixels(), "{way:?}");
         assert!(image.report.trace.suspended_peak > 0);
+    }
+}
+
+/// The rectangles of this size that a picture is cut into.
+fn cut(settings: &RenderSettings, [width, height]: [u32; 2]) -> Vec<Region> {
+    let mut regions = Vec::new();
+    for y in (0..settings.height).step_by(height as usize) {
+        for x in (0..settings.width).step_by(width as usize) {
+            let (width, height) = (width.min(settings.width - x), height.min(settings.height - y));
+            regions.push(Region { x, y, width, height });
+        }
+    }
+    regions
+}
+
+fn paste(picture: &mut [[f32; 3]], settings: &RenderSettings, region: Region, pixels: &[[f32; 3]]) {
+    assert_eq!(pixels.len() as u64, region.pixels());
+    for (row, pixels) in (region.y..).zip(pixels.chunks_exact(region.width as usize)) {
+        let start = (row * settings.width + region.x) as usize;
+        picture[start..start + pixels.len()].copy_from_slice(pixels);
+    }
+}
+
+/// A picture of regions, in an order of which no two neighbours follow each other; a region that fails or is stopped is rendered
+/// again. Gives how often that was.
+fn by_regions(
+    source: Arc<dyn BlockSource>,
+    scene: &Scene,
+    settings: &RenderSettings,
+    way: Way,
+    sides: [u32; 2],
+    stop: &AtomicBool,
+) -> (Vec<[f32; 3]>, RegionCounters, u32) {
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let settings = &RenderSettings { waiting: way.waiting, loader_threads: way.loaders, ..*settings };
+    let threads = way.threads as u32;
+    let needed = Renderer::regions_bytes(scene, source.model(), settings, threads).unwrap();
+    let aside = budget.reserve(needed, "the regions").unwrap();
+    let options = OctreeOptions { tracers_max: threads, slots_max: way.slots, ..OctreeOptions::default() };
+    let octree = LazyOctree::open(source, &budget, options).unwrap();
+    drop(aside);
+    let renderer = Renderer::new(&octree, scene, settings, &budget).unwrap();
+    let regions = cut(settings, sides);
+    let parts = renderer
+        .with_regions(threads, |by| {
+            assert_eq!(by.rays_wait(), matches!(way.waiting, WaitingRays::Count(_)));
+            let part = |number: usize| {
+                let mut renderer = by.renderer(stop).unwrap();
+                let (mut again, mut before, mut done) = (0, RegionCounters::default(), Vec::new());
+                for index in (number..regions.len()).step_by(way.threads) {
+                    let region = regions[index * 7 % regions.len()];
+                    let pixels = loop {
+                        match renderer.render(region) {
+                            Ok(Some(pixels)) => break pixels.to_vec(),
+                            Ok(None) => stop.store(false, Ordering::Relaxed),
+                            Err(RenderError::Trace(TraceError::Load(_))) => {}
+                            Err(error) => panic!("{error}"),
+                        }
+                        again += 1;
+                        assert!(again < 1000);
+                    };
+                    done.push((region, pixels));
+                    // Nothing that was counted is forgotten.
+                    let after = renderer.counters();
+                    assert!(after.effects.samples >= before.effects.samples + region.pixels());
+                    assert!(after.trace.blocks_loaded >= before.trace.blocks_loaded);
+                    before = after;
+                }
+                (done, before, again)
+            };
+            std::thread::scope(|scope| {
+                let part = &part;
+                let threads: Vec<_> =
+                    (0..way.threads).map(|number| scope.spawn(move || part(number))).collect();
+                threads.into_iter().map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
+            })
+        })
+        .unwrap();
+    assert!(budget.peak() <= budget.limit());
+    let mut picture = vec![[-1.0; 3]; settings.width as usize * settings.height as usize];
+    let (mut counters, mut again) = (RegionCounters::default(), 0);
+    for (done, own, own_again) in parts {
+        done.iter().for_each(|(region, pixels)| paste(&mut picture, settings, *region, pixels));
+        counters.trace.blocks_loaded += own.trace.blocks_loaded;
+        counters.trace.suspended_peak = counters.trace.suspended_peak.max(own.trace.suspended_peak);
+        counters.loads.in_flight_peak = counters.loads.in_flight_peak.max(own.loads.in_flight_peak);
+        again += own_again;
+    }
+    (picture, counters, again)
+}
+
+#[test]
+fn regions_are_the_same() {
+    // 7 and the number of regions of each cut have no common factor.
+    let bytes = compiled(&gears(|_| {}));
+    let plain = RenderSettings { tile_size: 16, samples_per_pixel: 2, ..settings() };
+    let adaptive = AdaptiveSampling { samples_min: 4, error: 0.02, confidence: 0.9 };
+    let sampled = RenderSettings {
+        samples_per_pixel: 16,
+        adaptive: Some(adaptive),
+        keep_statistics: false,
+        contribution_bound: 0.05,
+        ..plain
+    };
+    let mirrors = with_lamps(view());
+    let diffuse = with_lamps(view()).with_interreflection();
+    let never = AtomicBool::new(false);
+    for (scene, settings) in [(&mirrors, &plain), (&diffuse, &sampled)] {
+        let reference = render(&bytes, scene, settings, IN_MEMORY);
+        for (number, way) in WAYS.into_iter().enumerate() {
+            let sides = [[16, 16], [5, 4], [16, 9], [8, 8], [13, 16]][number];
+            // Adaptive tiles look around themselves, so regions of other sizes take other samples.
+            let mut expected = reference.film.pixels().to_vec();
+            if settings.adaptive.is_some() {
+                let in_order = Way { waiting: WaitingRays::Never, ..IN_MEMORY };
+                expected = by_regions(source(&bytes), scene, settings, in_order, sides, &never).0;
+            }
+            let (picture, counters, again) = by_regions(source(&bytes), scene, settings, way, sides, &never);
+            assert!(picture == expected, "{way:?}");
+            assert_eq!(again, 0);
+            assert!(way.slots.is_none() || counters.trace.suspended_peak > 0, "{way:?}");
+            assert!((way.loaders > 0) || counters.loads.in_flight_peak == 0, "{way:?}");
+        }
+    }
+}
+
+#[test]
+fn regions_load_fewer_blocks_when_their_rays_wait() {
+    let bytes = compiled(&gears(|_| {}));
+    let scene = with_lamps(view());
+    let settings = RenderSettings { keep_statistics: false, tile_size: 64, ..RenderSettings::new(96, 96) };
+    let never = AtomicBool::new(false);
+    let loads = |waiting, side| {
+        let way = Way { slots: Some(6), threads: 1, waiting, loaders: 0 };
+        by_regions(source(&bytes), &scene, &settings, way, [side; 2], &never).1.trace.blocks_loaded
+    };
+    let (many, few) = (loads(WaitingRays::Never, 64), loads(WaitingRays::Count(4096), 64));
+    assert!(few * 2 < many, "{few} instead of {many} loads");
+    // The smaller the region, the fewer share a load.
+    let more = loads(WaitingRays::Count(4096), 8);
+    assert!(few < more, "{few}, {more}");
+}
+
+/// A source that has somebody stop at some of its reads.
+struct Stopping {
+    source: MemorySource,
+    stop: Arc<AtomicBool>,
+    reads: AtomicU64,
+}
+
+impl BlockSource for Stopping {
+    fn model(&self) -> &Arc<outcrop::model::Model> {
+        self.source.model()
+    }
+
+    fn read_block(
+        &self,
+        block: outcrop::units::BlockId,
+        into: &mut Vec<u8>,
+    ) -> Result<(), outcrop::error::SourceError> {
+        if [40, 400, 1000].contains(&self.reads.fetch_add(1, Ordering::Relaxed)) {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+        self.source.read_block(block, into)
+    }
+}
+
+#[test]
+fn a_region_that_was_stopped_or_failed_can_be_rendered_again() {
+    let bytes = compiled(&gears(|_| {}));
+    let scene = with_lamps(view());
+    let settings = RenderSettings { tile_size: 16, ..settings() };
+    let reference = render(&bytes, &scene, &settings, IN_MEMORY);
+    for way in [WAYS[1], WAYS[2]] {
+        let stop = Arc::new(AtomicBool::new(false));
+        let source = MemorySource::new(bytes.clone()).unwrap();
+        let stopping = Stopping { source, stop: Arc::clone(&stop), reads: AtomicU64::new(0) };
+        let (picture, counters, again) =
+            by_regions(Arc::new(stopping), &scene, &settings, way, [8, 8], &stop);
+        assert!(picture == reference.film.pixels(), "{way:?}");
+        assert!(again > 0, "{way:?}: it was stopped");
+
+        // About one in each region.
+        let rate = 5.0 / counters.trace.blocks_loaded as f64;
+        let rates = FaultRates { io_errors: rate, bit_flips: rate, ..FaultRates::default() };
+        let faulty = FaultySource::new(MemorySource::new(bytes.clone()).unwrap(), 3, rates);
+        let never = AtomicBool::new(false);
+        let (picture, _, again) = by_regions(Arc::new(faulty), &scene, &settings, way, [8, 8], &never);
+        assert!(picture == reference.film.pixels(), "{way:?}");
+        assert!(again > 0, "{way:?}: it failed");
     }
 }

@@ -20,7 +20,7 @@ use outcrop::cluster::{
 use outcrop::compile::{CompileOptions, Control, compile_shape};
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::Gears;
-use outcrop::render::{Region, RenderSettings, Renderer};
+use outcrop::render::{Region, RenderSettings, Renderer, WaitingRays};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
 use outcrop::source::{DiskSource, PageCache};
@@ -261,6 +261,8 @@ fn worker(options: &Options, model: &Path) -> Result<(), Box<dyn Error>> {
         budget: MemoryBudget::new(MEMORY),
         octree: OctreeOptions::default(),
         remote: RemoteOptions::default(),
+        waiting: WaitingRays::Never,
+        loader_threads: 0,
         roles: RoleOptions::default(),
         patience: Duration::from_secs(60),
     };

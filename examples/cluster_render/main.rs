@@ -40,20 +40,30 @@ fn run(arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
     nodes::run(&options)
 }
 
-/// Whether `mpirun` or its like seems to have started more than this process.
+/// Whether `mpirun`, `srun` or their like seem to have started more than this process.
 fn is_launched() -> bool {
     let several = |name| std::env::var(name).is_ok_and(|ranks| ranks.trim() != "1");
-    ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"].into_iter().any(several)
+    // PMIx tells a process its rank, but not how many there are; Slurm tells that of all that it starts.
+    ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"].into_iter().any(several)
 }
 
 #[cfg(feature = "mpi")]
 fn launched(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
+    // Without this each process would be a job by itself.
+    if !outcrop::transport::MpiJob::is_launched() {
+        return Err("started several times by srun, but not as ranks of MPI: say how they find each other \
+            (--mpi=pmix for Open MPI, --mpi=pmi2 for MPICH; srun --mpi=list has what there is), \
+            or have TCP carry them with --hosts"
+            .into());
+    }
     ranks::run(options)
 }
 
 #[cfg(not(feature = "mpi"))]
 fn launched(_: &Options) -> Result<ExitCode, Box<dyn Error>> {
-    Err("started by mpirun, but built without MPI; build with --features mpi, or give each process its --role".into())
+    Err("started several times by mpirun or srun, but built without MPI; build with --features mpi, \
+        or give the processes their roles with --role or --hosts"
+        .into())
 }
 
 /// A new key in a file that only its owner may read. Never over an existing file.

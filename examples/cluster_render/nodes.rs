@@ -16,7 +16,7 @@ use outcrop::compile::{CompileOptions, Control, compile_shape};
 use outcrop::model::Model;
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Gears, Tessellation};
-use outcrop::render::{RenderSettings, Renderer, Threads};
+use outcrop::render::{RenderSettings, Renderer, Threads, WaitingRays};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
 use outcrop::source::{DiskSource, PageCache};
@@ -327,6 +327,8 @@ pub fn work(
         budget: MemoryBudget::new(memory),
         octree: OctreeOptions::default(),
         remote: RemoteOptions::default(),
+        waiting: options.waiting,
+        loader_threads: options.loaders,
         roles: RoleOptions::default(),
         patience: options.patience,
     };
@@ -341,6 +343,14 @@ pub fn work(
         let _ = serving.join();
     }
     println!("{} cells; {} blocks loaded", report.worker.cells, report.trace.blocks_loaded);
+    if options.waiting != WaitingRays::Never {
+        println!(
+            "up to {} rays of a lane waited, and up to {} blocks were asked for at one time; {:.2} s without tracing",
+            report.trace.suspended_peak,
+            report.loads.in_flight_peak,
+            report.loads.loading.as_secs_f64()
+        );
+    }
     if let Some(remote) = report.remote {
         println!(
             "blocks from their readers {}, from other readers {}, from all that hold hot ones {}, from disk {}, from the copy {}; damaged {}; {} messages asked for them",

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use outcrop::cluster::{HostRole, Hosts};
-use outcrop::render::ImageFormat;
+use outcrop::render::{ImageFormat, WaitingRays};
 use outcrop::units::Bytes;
 
 use crate::common::arguments::Arguments;
@@ -53,6 +53,8 @@ resources
     --readers N             readers that are started, or expected (2; 0 with --role coordinator)
     --lanes N               threads of a worker (1)
     --memory BYTES          budget of each node (128MiB)
+    --waiting N             at most N rays of a worker wait for blocks that it does not hold while others are traced; auto or never (never)
+    --loaders N             threads of a worker beside its lanes that load blocks for rays that wait (0)
     --keep FILE             a worker without the model makes itself a copy while it renders, and goes on with an unfinished one
     --verbose               tell who comes and goes
 ";
@@ -89,6 +91,8 @@ pub struct Options {
     pub keep: Option<PathBuf>,
     pub lanes: u16,
     pub memory: Bytes,
+    pub waiting: WaitingRays,
+    pub loaders: u32,
     pub verbose: bool,
 }
 
@@ -121,6 +125,8 @@ impl Options {
             keep: None,
             lanes: 1,
             memory: Bytes::mib(128),
+            waiting: WaitingRays::Never,
+            loaders: 0,
             verbose: false,
         };
         let (mut checkpoint, mut readers, mut size, mut gears_n) = (None, None, None, None);
@@ -160,6 +166,16 @@ impl Options {
                 "--keep" => options.keep = Some(arguments.path()?),
                 "--lanes" => options.lanes = arguments.value()?,
                 "--memory" => options.memory = arguments.value()?,
+                "--waiting" => {
+                    options.waiting = match arguments.text()?.as_str() {
+                        "auto" => WaitingRays::Auto,
+                        "never" => WaitingRays::Never,
+                        count => WaitingRays::Count(count.parse().map_err(|_| {
+                            format!("--waiting: `{count}` is not auto, never or a number of rays")
+                        })?),
+                    };
+                }
+                "--loaders" => options.loaders = arguments.value()?,
                 "--verbose" => options.verbose = true,
                 _ => return Err(arguments.unknown()),
             }

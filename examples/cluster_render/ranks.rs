@@ -34,6 +34,12 @@ fn role(options: &Options, job: &MpiJob) -> Result<ExitCode, Box<dyn Error>> {
     let mut options = options.clone();
     // Half of what is left beside the coordinator and a worker, at most as many as without MPI.
     options.readers = options.readers_asked.unwrap_or(size.saturating_sub(2).min(4) / 2);
+    if size == 1 {
+        // Each process would say the same of its own job.
+        return Err("MPI knows of this process alone: start more with -n, by the launcher of the MPI library that this was built with \
+            (mpirun.mpich and srun --mpi=pmi2 for MPICH; mpirun.openmpi and srun --mpi=pmix for Open MPI)"
+            .into());
+    }
     if size < options.readers + 2 {
         return Err(format!(
             "{size} ranks are too few for a coordinator, {} readers and a worker",

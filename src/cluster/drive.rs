@@ -19,12 +19,13 @@ use super::{Action, RoleOptions};
 use crate::budget::{MemoryBudget, Reservation};
 use crate::compile::Control;
 use crate::error::{RenderError, SourceError, TransportError};
+use crate::model::Model;
 use crate::octree::{LazyOctree, OctreeOptions};
-use crate::render::{Region, RegionRenderer, Renderer};
+use crate::render::{Region, RegionCounters, RegionRenderer, RenderSettings, Renderer, WaitingRays};
 use crate::source::{BlockSource, DiskSource};
 use crate::stats::TraceCounters;
+use crate::trace::LoadStats;
 use crate::transport::{PeerId, Transport, TransportEvent};
-use crate::units::Bytes;
 
 /// How often a driver looks whether it is to stop.
 const LOOK: Duration = Duration::from_millis(50);
@@ -32,6 +33,10 @@ const LOOK: Duration = Duration::from_millis(50);
 const RETRY: Duration = Duration::from_millis(500);
 /// How often the coordinator makes its checkpoint safe.
 const SAFE: Duration = Duration::from_secs(1);
+
+/// How long squares of pixels should take whose rays wait: the more samples are on their way, the more share a load. Not so long that results
+/// come late.
+const WAITING_SQUARE_TIME: Duration = Duration::from_secs(1);
 
 /// A node ended before its work was done.
 #[derive(Debug, thiserror::Error)]
@@ -271,6 +276,11 @@ pub struct WorkerOptions {
     pub octree: OctreeOptions,
     /// How readers are asked.
     pub remote: RemoteOptions,
+    /// Whether rays wait for blocks that are not resident, all lanes together; see [`RenderSettings::waiting`]. Does not show.
+    pub waiting: WaitingRays,
+    /// Threads beside the lanes that load blocks while rays wait for them: readers are asked for as many blocks at one time. See
+    /// [`RenderSettings::loader_threads`].
+    pub loader_threads: u32,
     /// Heartbeats.
     pub roles: RoleOptions,
     /// How long it tries to reach a coordinator, or waits for a reader, before it gives up.
@@ -284,6 +294,8 @@ pub struct WorkerReport {
     pub worker: WorkerCounters,
     /// Work of the queries, of all lanes.
     pub trace: TraceCounters,
+    /// How loads went, if rays waited for them; of times, the sum over lanes.
+    pub loads: LoadStats,
     /// Blocks from readers, if there were any readers.
     pub remote: Option<RemoteCounters>,
     /// The copy of the file, if one was to be made.
@@ -314,8 +326,12 @@ pub fn run_worker(
         };
         scope.spawn(pump);
         let (notes_in, notes) = mpsc::channel();
+        let mut worker = Worker::new(&options.name, options.lanes, model, options.roles);
+        if options.waiting != WaitingRays::Never {
+            worker = worker.with_square_time(WAITING_SQUARE_TIME);
+        }
         let mut engine = Engine {
-            worker: Worker::new(&options.name, options.lanes, model, options.roles),
+            worker,
             reconnect: Reconnect::new(control, address, options.patience),
             control,
             events,
@@ -542,72 +558,78 @@ impl Engine<'_> {
         let lanes = options.lanes.max(1);
         let budget = &options.budget;
         let copying = self.copying(options, source);
+        let settings = RenderSettings {
+            waiting: options.waiting,
+            loader_threads: options.loader_threads,
+            ..job.settings
+        };
         // The octree's cache takes what is left of the budget.
-        let scratch = Renderer::region_bytes(&job.scene, blocks.model(), &job.settings)?;
-        let set_aside =
-            budget.reserve(Bytes(scratch.0 * u64::from(lanes)), "the lanes' ray trees and pixels")?;
+        let set_aside = set_aside(job, blocks.model(), &settings, lanes.into(), budget)?;
         let octree_options = OctreeOptions { tracers_max: u32::from(lanes), ..options.octree };
         let octree = LazyOctree::open(blocks, budget, octree_options)?;
         drop(set_aside);
-        let renderer = Renderer::new(&octree, &job.scene, &job.settings, budget)?;
+        let renderer = Renderer::new(&octree, &job.scene, &settings, budget)?;
         let abort = AtomicBool::new(false);
         let (totals_in, totals) = mpsc::channel();
-        let end = thread::scope(|scope| {
-            let mut to_lanes: Vec<Sender<Region>> = Vec::new();
-            for lane in 0..lanes {
-                let (regions_in, regions) = mpsc::channel();
-                to_lanes.push(regions_in);
-                let (renderer, abort) = (&renderer, &abort);
-                let (events, totals) = (events_in.clone(), totals_in.clone());
-                scope.spawn(move || {
-                    let mut trace = TraceCounters::default();
-                    let result = renderer.regions(abort).and_then(|mut regions_of| {
-                        let result = serve(lane, &mut regions_of, &regions, &events);
-                        trace = regions_of.counters().1;
-                        result
+        let end = renderer.with_regions(lanes.into(), |regions_by| {
+            thread::scope(|scope| {
+                let mut to_lanes: Vec<Sender<Region>> = Vec::new();
+                for lane in 0..lanes {
+                    let (regions_in, regions) = mpsc::channel();
+                    to_lanes.push(regions_in);
+                    let abort = &abort;
+                    let (events, totals) = (events_in.clone(), totals_in.clone());
+                    scope.spawn(move || {
+                        let mut done = RegionCounters::default();
+                        let result = regions_by.renderer(abort).and_then(|mut renderer| {
+                            let result = serve(lane, &mut renderer, &regions, &events);
+                            done = renderer.counters();
+                            result
+                        });
+                        if let Err(error) = result {
+                            // The engine may be gone already.
+                            let _ = events.send(WorkerEvent::Failed { reason: error.to_string() });
+                        }
+                        let _ = totals.send(done);
                     });
-                    if let Err(error) = result {
-                        // The engine may be gone already.
-                        let _ = events.send(WorkerEvent::Failed { reason: error.to_string() });
+                }
+                if let (Some((copy, _)), Source::Remote(remote)) = (&copying, source) {
+                    let (abort, notes) = (&abort, self.notes_in.clone());
+                    scope.spawn(move || make_copy(copy, remote, abort, &notes));
+                }
+                self.handle(WorkerEvent::Opened);
+                let end = self.render(source, &to_lanes);
+                abort.store(true, Ordering::Relaxed);
+                if let (Some(copy), false) = (&options.copy, matches!(end, Ok(End::Next(_)))) {
+                    // Lets a copier go that waits for an answer.
+                    copy.transport.close();
+                }
+                if let Source::Remote(remote) = source {
+                    remote.abandon();
+                }
+                drop(to_lanes);
+                // Lanes that wait for room are let go; what they have is of no use any more, what the network brings is.
+                let mut kept = Vec::new();
+                drop(totals_in);
+                let mut left = usize::from(lanes);
+                while left > 0 {
+                    if let Ok(done) = totals.try_recv() {
+                        report.trace.merge(&done.trace);
+                        report.loads.merge(&done.loads);
+                        left -= 1;
                     }
-                    let _ = totals.send(trace);
-                });
-            }
-            if let (Some((copy, _)), Source::Remote(remote)) = (&copying, source) {
-                let (abort, notes) = (&abort, self.notes_in.clone());
-                scope.spawn(move || make_copy(copy, remote, abort, &notes));
-            }
-            self.handle(WorkerEvent::Opened);
-            let end = self.render(source, &to_lanes);
-            abort.store(true, Ordering::Relaxed);
-            if let (Some(copy), false) = (&options.copy, matches!(end, Ok(End::Next(_)))) {
-                // Lets a copier go that waits for an answer.
-                copy.transport.close();
-            }
-            if let Source::Remote(remote) = source {
-                remote.abandon();
-            }
-            drop(to_lanes);
-            // Lanes that wait for room are let go; what they have is of no use any more, what the network brings is.
-            let mut kept = Vec::new();
-            drop(totals_in);
-            let mut left = usize::from(lanes);
-            while left > 0 {
-                if let Ok(trace) = totals.try_recv() {
-                    report.trace.merge(&trace);
-                    left -= 1;
+                    match self.events.recv_timeout(Duration::from_millis(1)) {
+                        Ok(WorkerEvent::Network(event)) => kept.push(event),
+                        Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                        Err(RecvTimeoutError::Disconnected) => break,
+                    }
                 }
-                match self.events.recv_timeout(Duration::from_millis(1)) {
-                    Ok(WorkerEvent::Network(event)) => kept.push(event),
-                    Ok(_) | Err(RecvTimeoutError::Timeout) => {}
-                    Err(RecvTimeoutError::Disconnected) => break,
+                for event in kept {
+                    self.handle(WorkerEvent::Network(event));
                 }
-            }
-            for event in kept {
-                self.handle(WorkerEvent::Network(event));
-            }
-            end
-        });
+                end
+            })
+        })?;
         if let Some((copy, _)) = copying {
             report.copy = Some(copy.counters());
             if self.copied.is_none() {
@@ -670,6 +692,26 @@ impl Engine<'_> {
     }
 }
 
+/// Sets aside what lanes will take beside the octree. Where it is left to the render whether rays wait, they do so in what there is.
+fn set_aside(
+    job: &Job,
+    model: &Model,
+    settings: &RenderSettings,
+    lanes: u32,
+    budget: &MemoryBudget,
+) -> Result<Reservation, RenderError> {
+    let reserve = |settings: &RenderSettings| -> Result<Reservation, RenderError> {
+        let bytes = Renderer::regions_bytes(&job.scene, model, settings, lanes)?;
+        Ok(budget.reserve(bytes, "the lanes' ray trees and pixels")?)
+    };
+    match reserve(settings) {
+        Err(RenderError::Budget(_)) if settings.waiting == WaitingRays::Auto => {
+            reserve(&RenderSettings { waiting: WaitingRays::Never, ..*settings })
+        }
+        result => result,
+    }
+}
+
 /// A thread that makes a copy of the file beside the lanes.
 fn make_copy(copy: &FileCopy, remote: &RemoteSource, stop: &AtomicBool, notes: &Sender<String>) {
     let note = match copy.run(&|| remote.readers(), stop) {
@@ -707,9 +749,9 @@ fn serve(
     events: &SyncSender<WorkerEvent>,
 ) -> Result<(), RenderError> {
     while let Ok(region) = regions.recv() {
-        let (start, before) = (Instant::now(), work(&renderer.counters().1));
+        let (start, before) = (Instant::now(), work(&renderer.counters().trace));
         let Some(pixels) = renderer.render(region)?.map(<[_]>::to_vec) else { return Ok(()) };
-        let work = work(&renderer.counters().1) - before;
+        let work = work(&renderer.counters().trace) - before;
         let event = WorkerEvent::Rendered { lane, pixels, time: start.elapsed(), work };
         if events.send(event).is_err() {
             return Ok(());

@@ -57,7 +57,7 @@ pub enum WorkerAction {
     },
 }
 
-/// The squares that are rendered at once should take about so long: short enough for a notice to be heard in between.
+/// The squares that are rendered at once should take about so long, if nobody says otherwise: short enough for a notice to be heard in between.
 const SQUARE_TIME: Duration = Duration::from_millis(100);
 
 /// A result is sent when its lease is done, or after so long.
@@ -113,6 +113,7 @@ pub struct Worker {
     name: String,
     model: Option<u64>,
     options: RoleOptions,
+    square_time: Duration,
     coordinator: Option<PeerId>,
     /// Whether the coordinator has said that its job is the one that is open here. Before, it gets no results: they might be another picture's.
     is_confirmed: bool,
@@ -138,6 +139,7 @@ impl Worker {
             name: short(name),
             model,
             options,
+            square_time: SQUARE_TIME,
             coordinator: None,
             is_confirmed: false,
             last_heard: Duration::ZERO,
@@ -152,6 +154,13 @@ impl Worker {
             finished: false,
             failed: None,
         }
+    }
+
+    /// The same, whose squares of pixels take about so long each instead of a tenth of a second. What it is told while a lane renders one is heard
+    /// after that.
+    #[must_use]
+    pub fn with_square_time(self, square_time: Duration) -> Worker {
+        Worker { square_time, ..self }
     }
 
     /// Something happened.
@@ -376,9 +385,10 @@ impl Worker {
         held.ready_work += work;
         self.counters.cells += u64::from(square.count());
         // Squares of a quarter or four times the size next time, if that is nearer to the wanted time.
-        if time > 2 * SQUARE_TIME && lane.square_cells > 1 {
+        if time > 2 * self.square_time && lane.square_cells > 1 {
             lane.square_cells /= 4;
-        } else if time < SQUARE_TIME / 8 && lane.square_cells < 64 && square.count() == lane.square_cells {
+        } else if time < self.square_time / 8 && lane.square_cells < 64 && square.count() == lane.square_cells
+        {
             lane.square_cells *= 4;
         }
     }

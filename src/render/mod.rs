@@ -84,7 +84,7 @@ pub use layers::{LayerPixel, Layers};
 pub use progress::Progress;
 pub(crate) use query::SceneTracer;
 pub(crate) use region::Canvas;
-pub use region::{Region, RegionRenderer};
+pub use region::{Region, RegionCounters, RegionRenderer, Regions};
 pub use renderer::{RenderedImage, Renderer};
 pub use report::{Outcome, RenderReport, WaitingReport, WorkerSeconds};
 pub use sampling::Filter;

@@ -4,20 +4,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::counters::EffectCounters;
 use super::film::Film;
-use super::geometry::Surfaces;
+use super::geometry::{Geometry, Surfaces};
 use super::paths;
 use super::query::SceneTracer;
-use super::renderer::{Renderer, set};
-use super::settings::RenderSettings;
+use super::renderer::{Renderer, loader_options, set, waiting_bytes};
+use super::settings::{RenderSettings, WaitingRays};
 use super::stage::Stage;
 use super::tiles::{Area, TileGrid};
+use super::waiting::{Extent, OpenedTile, WaitingPlan, WaitingWorker};
 use super::workers::{Watch, Worker, tile_bytes};
 use crate::budget::{MemoryBudget, Reservation};
-use crate::error::{BudgetError, RenderError};
+use crate::error::{BudgetError, RenderError, TraceError};
 use crate::model::Model;
+use crate::octree::LazyOctree;
 use crate::scene::Scene;
 use crate::stats::TraceCounters;
-use crate::units::Bytes;
+use crate::trace::{BlockLoader, LoadStats};
+use crate::units::{Bytes, TileId};
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -39,14 +42,20 @@ impl Region {
     }
 }
 
-/// Renders one region after the other, on one thread. Made by [`Renderer::regions`]. A pixel is the same, bit for bit, whatever
-/// regions the picture is cut into and whoever renders them (I2).
+/// Renders one region after the other, on one thread. Made by [`Renderer::regions`] and [`Regions::renderer`]. A pixel is the same, bit for
+/// bit, whatever regions the picture is cut into and whoever renders them (I2).
 pub struct RegionRenderer<'r> {
-    worker: Worker<'r, Flag<'r>, SceneTracer<'r>>,
+    lane: Lane<'r>,
     width: u32,
     height: u32,
     side_max: u32,
     _scratch: Reservation,
+}
+
+#[expect(clippy::large_enum_variant, reason = "there is one for each thread")]
+enum Lane<'r> {
+    InOrder(Worker<'r, Flag<'r>, SceneTracer<'r>>),
+    Waiting(WaitingLane<'r>),
 }
 
 /// The caller's wish to stop.
@@ -62,6 +71,50 @@ impl Watch for Flag<'_> {
     fn report(&self) {}
 }
 
+/// What threads share that render regions beside each other. Made by [`Renderer::with_regions`].
+pub struct Regions<'r> {
+    renderer: &'r Renderer<'r>,
+    waiting: Option<Waiting<'r>>,
+}
+
+/// How rays wait.
+#[derive(Clone)]
+struct Waiting<'r> {
+    octree: &'r LazyOctree,
+    plan: WaitingPlan,
+    /// `None` if each thread loads for itself.
+    loader: Option<BlockLoader<'r>>,
+}
+
+/// One thread whose rays wait.
+struct WaitingLane<'r> {
+    renderer: &'r Renderer<'r>,
+    waiting: Waiting<'r>,
+    stop: &'r AtomicBool,
+    worker: Option<WaitingWorker<'r, 'r, Flag<'r>>>,
+    /// What workers did that are no more.
+    before: RegionCounters,
+}
+
+/// What a [`RegionRenderer`] did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RegionCounters {
+    /// Rays by effect.
+    pub effects: EffectCounters,
+    /// Work of the queries.
+    pub trace: TraceCounters,
+    /// How loads went, if rays waited for them.
+    pub loads: LoadStats,
+}
+
+impl RegionCounters {
+    fn merge(&mut self, other: &RegionCounters) {
+        self.effects.merge(&other.effects);
+        self.trace.merge(&other.trace);
+        self.loads.merge(&other.loads);
+    }
+}
+
 impl Renderer<'_> {
     /// What [`Renderer::regions`] takes from the budget for each thread. An octree opened without a limit takes all that is left for
     /// its cache, so reserve this before, and drop that reservation after.
@@ -73,27 +126,146 @@ impl Renderer<'_> {
         model: &Model,
         settings: &RenderSettings,
     ) -> Result<Bytes, RenderError> {
-        let (stage, _) = set(scene, &Surfaces::from(model), settings)?;
-        // Caches are shared by all threads; a part of each thread's own is as much or more.
-        let details = Renderer::detail_bytes(scene, model, settings, 1)?;
-        Ok(Bytes(scratch_bytes(&stage).0 + details.0))
+        let settings = RenderSettings { waiting: WaitingRays::Never, ..*settings };
+        Renderer::regions_bytes(scene, model, &settings, 1)
     }
 
-    /// A renderer of regions for the calling thread. Regions may have at most the settings' `tile_size` pixels a side. While
-    /// `stop` is set, rendering ends soon and gives nothing.
+    /// What [`Renderer::with_regions`] and so many renderers of regions take from the budget. To be set aside as in
+    /// [`Renderer::region_bytes`].
+    ///
+    /// # Errors
+    /// As for [`Renderer::new`].
+    pub fn regions_bytes(
+        scene: &Scene,
+        model: &Model,
+        settings: &RenderSettings,
+        threads: u32,
+    ) -> Result<Bytes, RenderError> {
+        let threads = threads.max(1);
+        let (stage, _) = set(scene, &Surfaces::from(model), settings)?;
+        let details = Renderer::detail_bytes(scene, model, settings, threads)?;
+        let in_order = scratch_bytes(&stage).0.saturating_mul(u64::from(threads));
+        // Whether rays wait is decided when it is known how many slots there are.
+        let waiting = WaitingPlan::of(&stage, Extent::Region, model, threads as usize)
+            .map(|plan| waiting_bytes(&stage, model, &plan, threads as usize).0);
+        Ok(Bytes(in_order.max(waiting.unwrap_or(0)) + details.0))
+    }
+
+    /// A renderer of regions for the calling thread, whose rays do not wait. Regions may have at most the settings' `tile_size` pixels a
+    /// side. While `stop` is set, rendering ends soon and gives nothing.
     ///
     /// # Errors
     /// [`RenderError::Budget`] if its scratch does not fit, [`RenderError::Trace`] if the octree gives no more tracers.
     pub fn regions<'r>(&'r self, stop: &'r AtomicBool) -> Result<RegionRenderer<'r>, RenderError> {
         let scratch = self.budget.reserve(scratch_bytes(&self.stage), "a region's ray trees and pixels")?;
+        let worker = Worker::new(Flag(stop), &self.stage, self.query()?);
+        Ok(self.region_renderer(Lane::InOrder(worker), scratch))
+    }
+
+    fn region_renderer<'r>(&'r self, lane: Lane<'r>, scratch: Reservation) -> RegionRenderer<'r> {
+        let RenderSettings { width, height, tile_size, .. } = self.stage.settings;
+        RegionRenderer { lane, width, height, side_max: tile_size, _scratch: scratch }
+    }
+
+    /// Runs `run`, in which so many threads of the caller's may render regions, each with a [`Regions::renderer`] of its own. Rays wait for
+    /// blocks as [`RenderSettings::waiting`] says, among the samples of a region; then so many threads beside them load as
+    /// [`RenderSettings::loader_threads`] says, so that a source can be asked for as many blocks at one time. They end before this
+    /// returns.
+    ///
+    /// # Errors
+    /// [`RenderError::Trace`] if the budget has no room for what loads blocks; then `run` is not called.
+    ///
+    /// # Panics
+    /// If `run` does.
+    pub fn with_regions<'r, T>(
+        &'r self,
+        threads: u32,
+        run: impl FnOnce(&Regions<'r>) -> T,
+    ) -> Result<T, RenderError> {
         let settings = &self.stage.settings;
-        Ok(RegionRenderer {
-            worker: Worker::new(Flag(stop), &self.stage, self.query()?),
-            width: settings.width,
-            height: settings.height,
-            side_max: settings.tile_size,
-            _scratch: scratch,
-        })
+        let Some((octree, plan)) = self.waiting(Extent::Region, threads.max(1) as usize) else {
+            return Ok(run(&Regions { renderer: self, waiting: None }));
+        };
+        let waiting = |loader| Regions { renderer: self, waiting: Some(Waiting { octree, plan, loader }) };
+        let loader_threads = settings.loader_threads;
+        if loader_threads == 0 {
+            return Ok(run(&waiting(None)));
+        }
+        let options = loader_options(loader_threads);
+        let mut run = Some(run);
+        let mut take = |regions: &Regions<'r>| run.take().map(|run| run(regions));
+        let result = match octree
+            .with_loader(loader_threads, options, |loader| take(&waiting(Some(loader.clone()))))
+        {
+            Err(TraceError::Budget(_)) if settings.waiting == WaitingRays::Auto => take(&waiting(None)),
+            other => other?,
+        };
+        // It is called once: a loader that finds no room has not called it.
+        Ok(result.expect("regions are rendered once"))
+    }
+}
+
+impl<'r> Regions<'r> {
+    /// A renderer of regions for the calling thread. Regions may have at most the settings' `tile_size` pixels a side. While
+    /// `stop` is set, rendering ends soon and gives nothing.
+    ///
+    /// # Errors
+    /// [`RenderError::Budget`] if its scratch does not fit, [`RenderError::Trace`] if the octree gives no more tracers.
+    pub fn renderer(&self, stop: &'r AtomicBool) -> Result<RegionRenderer<'r>, RenderError> {
+        let renderer = self.renderer;
+        let Some(waiting) = self.waiting.clone() else { return renderer.regions(stop) };
+        // Pools make reservations of their own.
+        let bytes = Bytes(waiting.plan.bytes(&renderer.stage));
+        let scratch = renderer.budget.reserve(bytes, "a region's ray trees and pixels")?;
+        let mut lane =
+            WaitingLane { renderer, waiting, stop, worker: None, before: RegionCounters::default() };
+        lane.worker = Some(lane.new_worker()?);
+        Ok(renderer.region_renderer(Lane::Waiting(lane), scratch))
+    }
+
+    /// Whether rays wait.
+    pub fn rays_wait(&self) -> bool {
+        self.waiting.is_some()
+    }
+}
+
+impl<'r> WaitingLane<'r> {
+    fn new_worker(&self) -> Result<WaitingWorker<'r, 'r, Flag<'r>>, TraceError> {
+        let Waiting { octree, plan, loader } = &self.waiting;
+        let stage = &self.renderer.stage;
+        let options = plan.pool_options(stage);
+        let pool = match loader {
+            Some(loader) => loader.ray_pool(options)?,
+            None => octree.ray_pool(options)?,
+        };
+        let query = Geometry::pool_query(pool, &self.renderer.attributes);
+        Ok(WaitingWorker::new(Flag(self.stop), stage, plan, query))
+    }
+
+    fn counters(&self) -> RegionCounters {
+        let mut counters = self.before;
+        if let Some(worker) = &self.worker {
+            let (effects, trace, loads) = (worker.effects(), worker.trace(), worker.loads());
+            counters.merge(&RegionCounters { effects, trace, loads });
+        }
+        counters
+    }
+
+    fn render(&mut self, area: Area) -> Result<Option<&[[f32; 3]]>, TraceError> {
+        let mut worker = match self.worker.take() {
+            Some(worker) => worker,
+            None => self.new_worker()?,
+        };
+        let mut tile = Some(OpenedTile { id: TileId(0), cell: 0, area, threshold: None });
+        let result = worker.run(&mut || tile.take(), &|_, _| {});
+        self.worker = Some(worker);
+        if !matches!(result, Ok(true)) {
+            // It has samples left on their way that nobody wants; the next region gets another.
+            self.before = self.counters();
+            self.worker = None;
+        }
+        result?;
+        Ok(self.worker.as_ref().map(|worker| worker.finished().pixels.as_slice()))
     }
 }
 
@@ -122,16 +294,25 @@ impl RegionRenderer<'_> {
                 reason: format!("{region:?} is empty, has a side of more than a tile, or leaves the picture"),
             });
         }
-        match self.worker.render_area_to(Area { x, y, width, height }, None) {
-            Ok(true) => Ok(Some(&self.worker.finished().pixels)),
-            Ok(false) => Ok(None),
-            Err(error) => Err(error.into()),
-        }
+        let area = Area { x, y, width, height };
+        Ok(match &mut self.lane {
+            Lane::InOrder(worker) => {
+                worker.render_area_to(area, None)?.then(|| worker.finished().pixels.as_slice())
+            }
+            Lane::Waiting(lane) => lane.render(area)?,
+        })
     }
 
-    /// Rays by effect, and work of the queries, since this renderer was made.
-    pub fn counters(&self) -> (EffectCounters, TraceCounters) {
-        (self.worker.effects(), self.worker.trace())
+    /// What was done since this renderer was made.
+    pub fn counters(&self) -> RegionCounters {
+        match &self.lane {
+            Lane::InOrder(worker) => RegionCounters {
+                effects: worker.effects(),
+                trace: worker.trace(),
+                loads: LoadStats::default(),
+            },
+            Lane::Waiting(lane) => lane.counters(),
+        }
     }
 }
 
@@ -166,6 +347,12 @@ impl Canvas {
 
     pub fn into_film(self) -> Film {
         self.film
+    }
+}
+
+impl std::fmt::Debug for Regions<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Regions").finish_non_exhaustive()
     }
 }
 

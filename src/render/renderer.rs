@@ -12,7 +12,7 @@ use super::report::{Outcome, RenderReport, WaitingReport};
 use super::resample::{self, Resampled, SampledPixel};
 use super::settings::{RenderSettings, WaitingRays};
 use super::stage::Stage;
-use super::waiting::WaitingPlan;
+use super::waiting::{Extent, WaitingPlan};
 use super::workers::{self, ProgressFn, Thresholds, Totals};
 use super::{Progress, paths};
 use crate::attributes::AttributeCache;
@@ -52,12 +52,12 @@ impl RenderedImage {
 
 /// Renders pictures of one scene through one octree.
 pub struct Renderer<'a> {
-    geometry: Geometry<'a>,
+    pub(super) geometry: Geometry<'a>,
     pub(super) stage: Stage,
     plan: EffectPlan,
     pub(super) budget: MemoryBudget,
     /// One for each model that has attributes; none at all if the picture needs none.
-    attributes: Vec<Option<AttributeCache>>,
+    pub(super) attributes: Vec<Option<AttributeCache>>,
 }
 
 impl<'a> Renderer<'a> {
@@ -216,7 +216,7 @@ impl<'a> Renderer<'a> {
             return Err(TraceError::TooManyTracers { wanted, tracers_max }.into());
         }
         let cache_before = self.geometry.cache_stats();
-        let (picture, waiting) = match self.waiting(threads) {
+        let (picture, waiting) = match self.waiting(Extent::Picture, workers::worker_count(threads)) {
             Some((octree, plan)) => {
                 let (picture, waiting) =
                     self.picture_waiting(octree, &plan, threads, thresholds, progress)?;
@@ -257,11 +257,10 @@ impl<'a> Renderer<'a> {
     }
 
     /// The octree whose blocks rays are to wait for, and how many, if any are.
-    fn waiting(&self, threads: &Threads) -> Option<(&LazyOctree, WaitingPlan)> {
+    pub(super) fn waiting(&self, extent: Extent, workers: usize) -> Option<(&LazyOctree, WaitingPlan)> {
         let Geometry::Model(octree) = self.geometry else { return None };
         let (stage, model) = (&self.stage, octree.model());
-        let workers = workers::worker_count(threads);
-        let mut plan = WaitingPlan::of(stage, model, workers)?;
+        let mut plan = WaitingPlan::of(stage, extent, model, workers)?;
         if stage.settings.waiting != WaitingRays::Auto {
             return Some((octree, plan));
         }
@@ -272,7 +271,10 @@ impl<'a> Renderer<'a> {
         let cache_bytes = cache.slot_bytes().0.saturating_mul(u64::from(cache.slot_count()));
         // What the threads' tracers take is not reserved yet either.
         let tracers = tracer_bytes_about(model).0.saturating_mul(workers as u64);
-        let film = Film::bytes_needed(&stage.grid, Kept::by(&stage.settings)).0;
+        let film = match extent {
+            Extent::Picture => Film::bytes_needed(&stage.grid, Kept::by(&stage.settings)).0,
+            Extent::Region => 0,
+        };
         let available = self.budget.available().0.saturating_sub(film).saturating_sub(tracers);
         while waiting_bytes(stage, model, &plan, workers).0 > available.min(cache_bytes) {
             plan = plan.smaller(stage, workers)?;
@@ -400,7 +402,7 @@ fn bytes_needed(
     let Memory { film, scratch } = memory(&stage, threads);
     // Whether rays wait is decided when it is known how many slots there are.
     let waiting = model.and_then(|model| {
-        let plan = WaitingPlan::of(&stage, model, workers)?;
+        let plan = WaitingPlan::of(&stage, Extent::Picture, model, workers)?;
         Some(waiting_bytes(&stage, model, &plan, workers))
     });
     Ok(Bytes(film.0 + scratch.max(waiting.unwrap_or_default()).0 + details.0))
@@ -503,7 +505,7 @@ fn stage_bytes(stage: &Stage) -> u64 {
 }
 
 /// What a render takes whose rays wait, but for the film and the threads' tracers.
-fn waiting_bytes(stage: &Stage, model: &Model, plan: &WaitingPlan, workers: usize) -> Bytes {
+pub(super) fn waiting_bytes(stage: &Stage, model: &Model, plan: &WaitingPlan, workers: usize) -> Bytes {
     let of_worker = plan.bytes_with_pool(stage, model.block_id_count() as usize);
     /// Requests and what comes of them: small beside a load's scratch.
     const QUEUES: u64 = 64 << 10;
@@ -513,7 +515,7 @@ fn waiting_bytes(stage: &Stage, model: &Model, plan: &WaitingPlan, workers: usiz
 }
 
 /// As many loads at a time as there are threads for them, and as many again to choose the next from.
-fn loader_options(threads: u32) -> LoaderOptions {
+pub(super) fn loader_options(threads: u32) -> LoaderOptions {
     let least = LoaderOptions::default();
     LoaderOptions { loads_at_once: threads, loads_in_flight: least.loads_in_flight.max(2 * threads) }
 }

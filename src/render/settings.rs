@@ -28,7 +28,9 @@ pub enum PathEnd {
 /// ([`RayPool`](crate::trace::RayPool)), while other samples go on. That takes memory for the samples on their way, 1 to 4 kilobytes for each ray that may wait, and
 /// it is no use where all blocks are resident.
 ///
-/// Pictures of instances, regions, and pictures that keep [costs](RenderSettings::keep_costs) are always made as by [`WaitingRays::Never`].
+/// Pictures of instances and pictures that keep [costs](RenderSettings::keep_costs) are always made as by [`WaitingRays::Never`]. Where regions
+/// are rendered ([`Renderer::with_regions`](super::Renderer::with_regions)), only samples of one region of a thread are on their way at one time, so the larger it is the more of
+/// them share a load.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum WaitingRays {
     /// Its thread loads the block at once.

@@ -184,7 +184,8 @@ impl Shared<'_> {
             let mut next_tile = || {
                 let id = TileId(self.next.fetch_add(1, Ordering::Relaxed));
                 let cell = *self.order.get(id.0 as usize)?;
-                Some(OpenedTile { id, cell, threshold: (self.thresholds)(id) })
+                let area = self.stage.grid.area(cell);
+                Some(OpenedTile { id, cell, area, threshold: (self.thresholds)(id) })
             };
             let result = worker.run(&mut next_tile, &|cell, finished| self.finish(cell, finished));
             tile = worker.tile();

@@ -10,5 +10,6 @@ mod messages;
 mod numbers;
 mod processes;
 mod simulated;
+mod squares;
 mod support;
 mod threads;

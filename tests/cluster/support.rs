@@ -7,7 +7,7 @@ use outcrop::cluster::{CoordinatorOptions, Job, RemoteOptions, RoleOptions, Work
 use outcrop::compile::{CompileOptions, Control, Threads};
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Gears, Tessellation};
-use outcrop::render::{RenderSettings, Renderer};
+use outcrop::render::{RenderSettings, Renderer, WaitingRays};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
 use outcrop::source::MemorySource;
@@ -77,6 +77,8 @@ pub fn worker_options(name: &str, lanes: u16, file: Option<Arc<dyn BlockSource>>
         budget: MemoryBudget::new(Bytes::mib(64)),
         octree: OctreeOptions { slots_max: Some(24), ..OctreeOptions::default() },
         remote: RemoteOptions { retry_after: Duration::from_millis(300), ..RemoteOptions::default() },
+        waiting: WaitingRays::Never,
+        loader_threads: 0,
         roles: quick_roles(),
         patience: Duration::from_secs(60),
     }

@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 
 use outcrop::cluster::{
     Coordinator, CoordinatorCounters, CoordinatorError, NodeError, Reader, ReaderCounters, RemoteCounters,
-    WorkerReport, run_coordinator, run_reader, run_worker,
+    WorkerOptions, WorkerReport, run_coordinator, run_reader, run_worker,
 };
 use outcrop::compile::Control;
+use outcrop::render::WaitingRays;
 use outcrop::scene::{Environment, EnvironmentImage};
 use outcrop::source::testing::{FaultRates, FaultySource};
 use outcrop::transport::{LocalNetwork, SharedKey, TcpOptions, TcpTransport, Transport};
@@ -49,6 +50,8 @@ struct Mix {
     faulty_readers: bool,
     /// After so many cells, one reader and one worker end as if they had been killed.
     kills_after: Option<u64>,
+    /// Rays of a worker that may wait, and threads that load for them.
+    waiting: (WaitingRays, u32),
 }
 
 struct Outcome {
@@ -136,7 +139,9 @@ fn render(network: &dyn Network, mix: &Mix) -> Outcome {
                     let name = format!("worker {i}");
                     let (control, data) = (network.open(&name), network.open(&format!("{name}, data")));
                     let file = has_file.then(|| Arc::new(model()) as Arc<dyn BlockSource>);
-                    let options = worker_options(&name, *lanes, file);
+                    let (waiting, loader_threads) = mix.waiting;
+                    let options =
+                        WorkerOptions { waiting, loader_threads, ..worker_options(&name, *lanes, file) };
                     run_worker(&*control, &data, address, &options, stop, &mut |_| {})
                 })
             })
@@ -165,7 +170,13 @@ fn render(network: &dyn Network, mix: &Mix) -> Outcome {
 }
 
 fn mix(workers: &[(u16, bool)], readers: usize) -> Mix {
-    Mix { workers: workers.to_vec(), readers, faulty_readers: false, kills_after: None }
+    Mix {
+        workers: workers.to_vec(),
+        readers,
+        faulty_readers: false,
+        kills_after: None,
+        waiting: (WaitingRays::Never, 0),
+    }
 }
 
 /// The suite: every mix over one kind of network. `open` gives a new network each time.
@@ -211,6 +222,29 @@ fn in_one_process() {
 #[test]
 fn over_tcp() {
     every_mix(&|| Box::new(Tcp(SharedKey::generate().unwrap())));
+}
+
+/// Rays that wait for blocks, in workers with the file and without, with and without others that load for them.
+#[test]
+fn rays_of_workers_wait() {
+    for (rays, loaders) in [(200, 0), (3000, 3)] {
+        for readers in [0, 2] {
+            let mut mix = mix(&[(1, readers == 0), (2, readers == 0)], readers);
+            mix.waiting = (WaitingRays::Count(rays), loaders);
+            let outcome = render(&LocalNetwork::new(), &mix);
+            assert_eq!(outcome.coordinator.lost, 0);
+            let reports: Vec<_> = outcome.workers.into_iter().map(Result::unwrap).collect();
+            assert!(reports.iter().any(|report| report.trace.suspended_peak > 0), "{reports:?}");
+            // Several blocks are asked for at one time, where others than the lanes ask.
+            let in_flight = reports.iter().map(|report| report.loads.in_flight_peak).max().unwrap();
+            assert!(if loaders > 0 { in_flight > 1 } else { in_flight == 0 }, "{reports:?}");
+        }
+    }
+    // The render decides for itself; here nothing but mirrors and glass, for which it does not pay.
+    let mut mix = mix(&[(2, false)], 1);
+    mix.waiting = (WaitingRays::Auto, 1);
+    let outcome = render(&LocalNetwork::new(), &mix);
+    assert!(outcome.workers.iter().all(|report| report.as_ref().unwrap().trace.suspended_peak == 0));
 }
 
 #[test]

@@ -13,9 +13,19 @@ use crate::render::stage::{Loop, Stage};
 use crate::render::tile_samples::TileSamples;
 use crate::trace::{Answers, AnyRequest, ClosestRequest, PoolOptions, RayPool};
 
+/// What samples are on their way at one time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::render) enum Extent {
+    /// Those of several tiles of a picture.
+    Picture,
+    /// Those of one region, of at most a tile.
+    Region,
+}
+
 /// Sizes of what one thread of a render has whose rays wait.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct WaitingPlan {
+    pub extent: Extent,
     /// So many rays shall wait before a block is loaded for them.
     pub rays: u32,
     /// Samples on their way.
@@ -45,13 +55,19 @@ impl WaitingPlan {
     const AUTO_SHARE: u64 = 8;
 
     /// For `rays` that may wait in all `threads` together.
-    pub fn new(stage: &Stage, rays: u32, threads: usize) -> WaitingPlan {
+    pub fn new(stage: &Stage, extent: Extent, rays: u32, threads: usize) -> WaitingPlan {
         let settings = &stage.settings;
         let threads = threads.max(1) as u64;
-        let all =
-            u64::from(settings.width) * u64::from(settings.height) * u64::from(settings.samples_per_pixel);
         let rays = rays.div_ceil(u32::try_from(threads).unwrap_or(u32::MAX)).max(1);
-        let samples = u32::try_from(all.div_ceil(threads)).unwrap_or(u32::MAX).min(rays).max(1);
+        let round = TileSamples::round_max(stage).max(1);
+        let all = match extent {
+            Extent::Picture => {
+                let pixels = u64::from(settings.width) * u64::from(settings.height);
+                (pixels * u64::from(settings.samples_per_pixel)).div_ceil(threads)
+            }
+            Extent::Region => u64::from(round),
+        };
+        let samples = u32::try_from(all).unwrap_or(u32::MAX).min(rays).max(1);
         let batch = (samples as usize).min(ASKED_MAX);
         let mut sizes = Sizes::of_batch(stage, batch);
         let mut stacks_kept = 0;
@@ -61,11 +77,17 @@ impl WaitingPlan {
             sizes.stack_depth = 3;
         }
         let claims_of_hit = if sizes.shadows > 0 { claims_of_hit(stage) } else { 0 };
-        let round = TileSamples::round_max(stage).max(1);
-        let window = round.min((samples / 4).max(1024));
-        let tiles_max = (stage.grid.tile_count() as u64).div_ceil(threads).max(1);
-        let tiles = u64::from(2 * (samples / window) + 2).min(tiles_max);
+        let (window, tiles) = match extent {
+            Extent::Picture => {
+                let window = round.min((samples / 4).max(1024));
+                let tiles_max = (stage.grid.tile_count() as u64).div_ceil(threads).max(1);
+                (window, u64::from(2 * (samples / window) + 2).min(tiles_max))
+            }
+            // There is no other tile to go on with while a sample is late.
+            Extent::Region => (round.min(samples.saturating_mul(2).max(1024)), 1),
+        };
         WaitingPlan {
+            extent,
             rays,
             samples,
             batch,
@@ -79,22 +101,22 @@ impl WaitingPlan {
         }
     }
 
-    /// For a picture of a model, if rays are to wait at all. Under [`WaitingRays::Auto`] the most that are to wait.
-    pub fn of(stage: &Stage, model: &Model, threads: usize) -> Option<WaitingPlan> {
+    /// For a model, if rays are to wait at all. Under [`WaitingRays::Auto`] the most that are to wait.
+    pub fn of(stage: &Stage, extent: Extent, model: &Model, threads: usize) -> Option<WaitingPlan> {
         // Who wants to know what each pixel cost wants rays of one pixel at a time.
         if stage.settings.keep_costs || stage.are_moving {
             return None;
         }
         match stage.settings.waiting {
             WaitingRays::Never => None,
-            WaitingRays::Count(rays) => Some(WaitingPlan::new(stage, rays, threads)),
+            WaitingRays::Count(rays) => Some(WaitingPlan::new(stage, extent, rays, threads)),
             // Rays of mirrors and glass mostly follow each other through the same blocks (docs/results/suspension.md).
             WaitingRays::Auto if !stage.interreflection => None,
             WaitingRays::Auto => {
                 let slot = LazyOctree::slot_bytes(model, LeafLayout::Indexed).0;
                 let share = u64::from(model.block_id_count()).saturating_mul(slot) / WaitingPlan::AUTO_SHARE;
                 let blocks = model.block_id_count() as usize;
-                let first = WaitingPlan::new(stage, WaitingPlan::AUTO_MAX, threads);
+                let first = WaitingPlan::new(stage, extent, WaitingPlan::AUTO_MAX, threads);
                 let mut plans = std::iter::successors(Some(first), |plan| plan.smaller(stage, threads));
                 plans.find(|plan| plan.bytes_with_pool(stage, blocks).saturating_mul(threads as u64) <= share)
             }
@@ -104,7 +126,7 @@ impl WaitingPlan {
     /// For half as many rays, unless that is not worth it.
     pub fn smaller(&self, stage: &Stage, threads: usize) -> Option<WaitingPlan> {
         let rays = (self.rays / 2).saturating_mul(threads as u32);
-        (rays >= WaitingPlan::AUTO_MIN).then(|| WaitingPlan::new(stage, rays, threads))
+        (rays >= WaitingPlan::AUTO_MIN).then(|| WaitingPlan::new(stage, self.extent, rays, threads))
     }
 
     pub fn pool_options(&self, stage: &Stage) -> PoolOptions {

@@ -6,14 +6,17 @@ use glam::DVec3;
 
 use crate::render::stage::{CameraSample, Stage};
 use crate::render::tile_samples::{FinishedTile, TileSamples};
+use crate::render::tiles::Area;
 use crate::units::TileId;
 
 /// A tile to be rendered.
 #[derive(Clone, Copy)]
 pub(in crate::render) struct OpenedTile {
     pub id: TileId,
-    /// Its place on the grid.
+    /// What it is told by when it is finished.
     pub cell: u32,
+    /// Its pixels: at most a tile of the settings.
+    pub area: Area,
     /// Its error threshold, if it is not that of the settings.
     pub threshold: Option<f64>,
 }
@@ -49,7 +52,7 @@ pub(super) struct Tiles {
 pub(super) struct Delivered {
     /// Samples of the picture that are done with it.
     pub samples: u64,
-    /// The place of its tile, if that is finished with it.
+    /// What its tile is told by, if that is finished with it.
     pub finished_cell: Option<u32>,
 }
 
@@ -106,7 +109,7 @@ impl Tiles {
             });
             let job = &mut self.jobs[place as usize];
             job.tile = tile;
-            job.samples.begin(stage, stage.grid.area(tile.cell));
+            job.samples.begin(stage, tile.area);
             (job.begun, job.added) = (0, 0);
             self.open.push_back(place);
         }

@@ -110,12 +110,17 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
         self.tiles.first_open().unwrap_or(TileId(0))
     }
 
+    /// The tile that was finished last.
+    pub fn finished(&self) -> &FinishedTile {
+        self.tiles.finished()
+    }
+
     fn pool(&self) -> &RayPool<'o> {
         &self.paths.query.geometry.pool
     }
 
     /// Renders all tiles that `next_tile` gives, and gives them, as they are finished, to `finish` with their cell. False if the render was
-    /// stopped before the end.
+    /// stopped before the end; then, and after an error, there are samples left on their way, and this is not to be called again.
     pub fn run(
         &mut self,
         next_tile: &mut NextTile<'_>,

@@ -58,6 +58,8 @@ pub struct MpiJob {
 
 impl MpiJob {
     /// Whether a launcher of MPI jobs seems to have started this process, by the variables that Open MPI, MPICH and Slurm set.
+    /// That the processes then find each other is not certain: a library that does not speak the launcher's protocol makes each a job by
+    /// itself (MPICH), or ends it (Open MPI).
     pub fn is_launched() -> bool {
         ["OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK"].iter().any(|name| std::env::var_os(name).is_some())
     }
