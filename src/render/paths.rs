@@ -187,7 +187,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         samples: impl Iterator<Item = CameraSample>,
     ) -> Result<(), TraceError> {
         self.begin::<E>(samples);
-        while !self.heads.is_empty() {
+        while !self.rays.is_empty() {
             self.step::<E>()?;
         }
         self.counters.add_details(&std::mem::take(&mut self.query.counters));
@@ -205,13 +205,20 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         self.radiance.clear();
         self.lost.clear();
         self.times.clear();
+        if !E::SECONDARY && !self.stage.are_moving {
+            self.rays.extend(samples.map(|sample| sample.ray));
+            self.count_samples();
+            return;
+        }
         let work = self.stage.settings.work_budget;
         for (slot, CameraSample { key, ray, time }) in samples.enumerate() {
             if self.stage.are_moving {
                 self.times.push(time);
             }
             self.rays.push(ray);
-            self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
+            if E::SECONDARY {
+                self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
+            }
             if E::SAMPLED {
                 let mut walk = Walk::start(key);
                 if E::DETAILED {
@@ -224,13 +231,19 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 self.forced.extend(forced.into_iter().filter(|forced| *forced).map(|_| ray));
             }
         }
-        let count = self.heads.len() as u64;
-        self.radiance.resize(self.heads.len(), DVec3::ZERO);
-        self.lost.resize(self.heads.len(), 0.0);
+        self.count_samples();
+    }
+
+    /// Books the camera rays, and makes each sample a place for its light.
+    fn count_samples(&mut self) {
+        let count = self.rays.len();
+        self.radiance.resize(count, DVec3::ZERO);
+        self.lost.resize(count, 0.0);
         self.lost_by_shadows.clear();
         if self.stage.transparent.is_some() {
-            self.lost_by_shadows.resize(self.heads.len(), 0.0);
+            self.lost_by_shadows.resize(count, 0.0);
         }
+        let count = count as u64;
         self.counters.samples += count;
         self.counters.primary_rays += count;
         if self.stage.view.has_lens() {
@@ -259,7 +272,12 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         let start = Instant::now();
         if self.stage.are_moving {
             self.ray_times.clear();
-            self.ray_times.extend(self.heads.iter().map(|head| self.times[head.slot as usize]));
+            if E::SECONDARY {
+                self.ray_times.extend(self.heads.iter().map(|head| self.times[head.slot as usize]));
+            } else {
+                // Each ray is its sample's first.
+                self.ray_times.extend_from_slice(&self.times);
+            }
             self.query.at_times(&mut self.ray_times.iter().copied());
         }
         let hits = &mut self.hits[..self.rays.len()];
@@ -321,6 +339,17 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         Ok(())
     }
 
+    /// What belongs to a ray that is about to be traced.
+    #[inline]
+    fn head<E: EffectsOfLoop>(&self, index: usize) -> Head {
+        if E::SECONDARY {
+            self.heads[index]
+        } else {
+            // Camera rays only, which carry all.
+            Head { slot: index as u32, work: self.stage.settings.work_budget, throughput: DVec3::ONE }
+        }
+    }
+
     /// Adds background, emission and ambient light, lists the points to be lit, and spawns children.
     fn shade<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
         self.points.clear();
@@ -330,8 +359,8 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         self.next_rays.clear();
         self.next_walks.clear();
         let stage = self.stage;
-        for index in 0..self.heads.len() {
-            let mut head = self.heads[index];
+        for index in 0..self.rays.len() {
+            let mut head = self.head::<E>(index);
             let slot = head.slot as usize;
             let border = if E::SAMPLED && stage.nested { Some(self.borders.borders[index]) } else { None };
             let inside = border.and_then(|border| border.before);
@@ -350,7 +379,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             };
             let shader = stage.shader(hit.material);
             let direction = DVec3::from_array(self.rays[index].direction);
-            let geometric = DVec3::from_array(hit.normal());
+            let (position, geometric) = (hit.position(), DVec3::from_array(hit.normal()));
             let is_behind = geometric.dot(direction) > 0.0;
             // The normal of a needle may vanish in rounding; then the surface is taken to face the ray.
             let normal = geometric.try_normalize().map_or(-direction, |n| if is_behind { -n } else { n });
@@ -369,8 +398,9 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 self.counters.absorbed_segments += 1;
                 head.throughput *= absorb(medium, hit.t);
             }
-            let error = border.map_or(0.0, |border| border.error).max(hit.position_error());
-            let origin_on = |side: DVec3| offset_origin(hit.position(), error, hit.normal(), side.to_array());
+            let error = border.map_or(hit.position_error(), |border| border.error.max(hit.position_error()));
+            let origin_on =
+                |side: DVec3| offset_origin(position, error, geometric.to_array(), side.to_array());
             if E::SAMPLED && border.is_some_and(|border| border.is_none()) {
                 // Two bodies overlap, and this surface is inside the stronger one.
                 self.counters.passed_surfaces += 1;
@@ -388,7 +418,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 slot: head.slot,
                 material: hit.material,
                 throughput: head.throughput,
-                position: DVec3::from_array(hit.position()),
+                position: DVec3::from_array(position),
                 normal,
                 origin: origin_on(normal),
                 view: -direction,
@@ -744,8 +774,11 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
 
     /// Makes the ray that waited last the sample's head; without one the sample is done.
     fn advance_from_stack<E: EffectsOfLoop>(&mut self, slot: u32) {
+        if !E::SECONDARY {
+            return;
+        }
         let count = &mut self.waiting_counts[slot as usize];
-        if !E::SECONDARY || *count == 0 {
+        if *count == 0 {
             return;
         }
         *count -= 1;

@@ -25,6 +25,7 @@ pub(crate) struct Shader {
     pub emission: DVec3,
     pub diffuse: DVec3,
     pub highlight: DVec3,
+    pub has_highlight: bool,
     pub exponent: Exponent,
     pub mirror: DVec3,
     pub transmission: f64,
@@ -88,6 +89,7 @@ impl Shader {
             emission: DVec3::from_array(surface.emission),
             diffuse: DVec3::from_array(surface.diffuse),
             highlight: DVec3::from_array(surface.highlight),
+            has_highlight: surface.highlight != [0.0; 3],
             exponent: Exponent::new(surface.exponent),
             mirror: DVec3::from_array(surface.mirror),
             transmission: surface.transmission,
@@ -311,9 +313,9 @@ impl Stage {
     }
 
     /// The way into the scene of sample `sample` of `pixel`, which lies at `(x, y)` of the image.
+    #[inline(always)]
     pub fn camera_sample(&self, pixel: u64, sample: u32, x: f64, y: f64) -> CameraSample {
-        let (has_lens, is_moving) = (self.view.has_lens(), self.draws_time());
-        if !(has_lens || is_moving) {
+        if !(self.view.has_lens() || self.draws_time()) {
             // Loops without luck draw no numbers, and need no key for them (I6).
             let key = match self.path_loop {
                 Loop::Matt | Loop::Whitted => SampleKey::NONE,
@@ -321,6 +323,12 @@ impl Stage {
             };
             return CameraSample { key, ray: self.view.ray(x, y), time: 0.0 };
         }
+        self.lucky_camera_sample(pixel, sample, x, y)
+    }
+
+    /// [`Stage::camera_sample`] through a lens or at a time.
+    fn lucky_camera_sample(&self, pixel: u64, sample: u32, x: f64, y: f64) -> CameraSample {
+        let (has_lens, is_moving) = (self.view.has_lens(), self.draws_time());
         let key = SampleKey::new(self.settings.seed, pixel, sample);
         let lens = if has_lens { key.pair(VertexId::CAMERA, Dimension::Lens) } else { [0.5; 2] };
         let time = if is_moving { key.one(VertexId::CAMERA, Dimension::Shutter) } else { 0.0 };
@@ -328,6 +336,7 @@ impl Stage {
     }
 
     /// Whether each sample has a time of its own.
+    #[inline]
     pub fn draws_time(&self) -> bool {
         self.view.is_moving() || self.are_moving
     }
@@ -356,6 +365,7 @@ impl Stage {
     }
 
     /// The shading terms of a material.
+    #[inline]
     pub fn shader(&self, material: MaterialId) -> &Shader {
         // The decoder refuses blocks that name materials outside their directory entry's range, and the directory
         // refuses ranges outside the table (I5).
@@ -369,6 +379,7 @@ impl Stage {
     }
 
     /// A sample of pixel (`x`, `y`): a pure function of scene and settings (I2).
+    #[inline(always)]
     pub fn pixel_sample(&self, x: u32, y: u32, sample: u32) -> CameraSample {
         let settings = &self.settings;
         let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);

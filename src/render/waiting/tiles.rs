@@ -124,7 +124,7 @@ impl Tiles {
         let window = self.window as u64;
         job.done[(index % window) as usize] = Some(result);
         while let Some((radiance, lost)) = job.done[(job.added % window) as usize].take() {
-            delivered.samples += u64::from(job.samples.add(job.added, radiance, lost));
+            delivered.samples += job.samples.add(job.added, &[radiance], &[lost]);
             job.added += 1;
         }
         if job.added < job.samples.round_total() {
