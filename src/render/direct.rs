@@ -47,8 +47,9 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
                     }
                 } else {
                     contribution = received::<E>(stage, emitter, point);
-                    let largest = contribution.max_element();
-                    if largest <= stage.settings.contribution_bound {
+                    let bound = stage.settings.contribution_bound;
+                    if !(contribution.x > bound || contribution.y > bound || contribution.z > bound) {
+                        let largest = contribution.max_element();
                         if largest > 0.0 {
                             self.counters.contribution_cuts += 1;
                             self.lost[point.slot as usize] += largest;

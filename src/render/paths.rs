@@ -13,7 +13,7 @@ use super::bounce::{Walk, bounce};
 use super::counters::EffectCounters;
 use super::detail::normals::on_side;
 use super::detail::query::SurfaceQuery;
-use super::detail::{Cone, Detail, Seen};
+use super::detail::{Detail, Seen};
 use super::glossy;
 use super::hot::{Detailed, EffectsOfLoop, Matt, Sampled, Whitted};
 use super::lamps::Scatter;
@@ -24,7 +24,7 @@ use super::query::RayQuery;
 use super::random::Dimension;
 use super::report::WorkerSeconds;
 use super::shadows::ShadowBatch;
-use super::stage::{CameraSample, Loop, Shader, Stage};
+use super::stage::{Loop, PixelSample, Shader, Stage};
 use crate::error::TraceError;
 use crate::geom::{Ray, offset_origin};
 use crate::trace::Hit;
@@ -116,7 +116,7 @@ pub(crate) struct PathTracer<'s, Q> {
     pub(super) lost_by_shadows: Vec<f64>,
     pub(super) shadows: ShadowBatch,
     /// Rays of forced effects that cannot matter.
-    forced: Vec<Ray>,
+    pub(super) forced: Vec<Ray>,
     /// One beside each of `heads`, `next_heads`, `points` and `waiting`, in loops that sample effects; empty in others.
     pub(super) walks: Vec<Walk>,
     pub(super) next_walks: Vec<Walk>,
@@ -172,7 +172,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     ///
     /// # Errors
     /// Those of the query; nothing that was computed is to be used then.
-    pub fn trace(&mut self, samples: impl Iterator<Item = CameraSample>) -> Result<(), TraceError> {
+    pub fn trace(&mut self, samples: impl Iterator<Item = PixelSample>) -> Result<(), TraceError> {
         // Decided once per batch; inside, what a loop does not know is not there (I6).
         match self.stage.path_loop {
             Loop::Matt => self.trace_in::<Matt>(samples),
@@ -184,7 +184,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
 
     fn trace_in<E: EffectsOfLoop>(
         &mut self,
-        samples: impl Iterator<Item = CameraSample>,
+        samples: impl Iterator<Item = PixelSample>,
     ) -> Result<(), TraceError> {
         self.begin::<E>(samples);
         while !self.rays.is_empty() {
@@ -195,65 +195,6 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             *lost += by_shadows;
         }
         Ok(())
-    }
-
-    /// Makes the camera rays of these samples the heads.
-    pub(super) fn begin<E: EffectsOfLoop>(&mut self, samples: impl Iterator<Item = CameraSample>) {
-        self.heads.clear();
-        self.rays.clear();
-        self.walks.clear();
-        self.radiance.clear();
-        self.lost.clear();
-        self.times.clear();
-        if !E::SECONDARY && !self.stage.are_moving {
-            self.rays.extend(samples.map(|sample| sample.ray));
-            self.count_samples();
-            return;
-        }
-        let work = self.stage.settings.work_budget;
-        for (slot, CameraSample { key, ray, time }) in samples.enumerate() {
-            if self.stage.are_moving {
-                self.times.push(time);
-            }
-            self.rays.push(ray);
-            if E::SECONDARY {
-                self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
-            }
-            if E::SAMPLED {
-                let mut walk = Walk::start(key);
-                if E::DETAILED {
-                    let [width, spread] = self.stage.view.footprint();
-                    walk.cone = Cone { width, spread };
-                }
-                self.walks.push(walk);
-                // A lens of radius 0 and a camera at rest see what the camera sees.
-                let forced = [self.stage.force_lens, self.stage.force_shutter];
-                self.forced.extend(forced.into_iter().filter(|forced| *forced).map(|_| ray));
-            }
-        }
-        self.count_samples();
-    }
-
-    /// Books the camera rays, and makes each sample a place for its light.
-    fn count_samples(&mut self) {
-        let count = self.rays.len();
-        self.radiance.resize(count, DVec3::ZERO);
-        self.lost.resize(count, 0.0);
-        self.lost_by_shadows.clear();
-        if self.stage.transparent.is_some() {
-            self.lost_by_shadows.resize(count, 0.0);
-        }
-        let count = count as u64;
-        self.counters.samples += count;
-        self.counters.primary_rays += count;
-        if self.stage.view.has_lens() {
-            self.counters.lens_rays += count;
-            self.counters.random_numbers += 2 * count;
-        }
-        if self.stage.draws_time() {
-            self.counters.shutter_rays += count;
-            self.counters.random_numbers += count;
-        }
     }
 
     /// Radiance of each ray of the last [`PathTracer::trace`].
@@ -337,17 +278,6 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         self.borders.find(self.stage, &mut self.query, rays, media, &mut hits, &mut counters)?;
         self.counters.forced_rays += counters.medium_rays;
         Ok(())
-    }
-
-    /// What belongs to a ray that is about to be traced.
-    #[inline]
-    fn head<E: EffectsOfLoop>(&self, index: usize) -> Head {
-        if E::SECONDARY {
-            self.heads[index]
-        } else {
-            // Camera rays only, which carry all.
-            Head { slot: index as u32, work: self.stage.settings.work_budget, throughput: DVec3::ONE }
-        }
     }
 
     /// Adds background, emission and ambient light, lists the points to be lit, and spawns children.
@@ -447,7 +377,9 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                     shader = &local;
                 }
             }
-            self.radiance[slot] += head.throughput * (shader.emission + shader.diffuse * stage.ambient);
+            let glow =
+                if E::DETAILED { shader.emission + shader.diffuse * stage.ambient } else { shader.glow };
+            self.radiance[slot] += head.throughput * glow;
             let is_lit = stage.direct || E::SAMPLED && stage.samples_lights();
             let eta =
                 if E::SECONDARY { index_ratio(stage, shader, border.as_ref(), is_behind) } else { None };

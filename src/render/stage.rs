@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::bound::RadianceBound;
 use super::detail::maps::{CutOuts, MaterialMaps, cut_outs, maps};
 use super::random::{Dimension, SampleKey, VertexId};
-use super::sampling::pixel_offset;
+use super::sampling::{MIDDLE, pixel_offset};
 use super::settings::{PathEnd, RenderSettings};
 use super::tiles::TileGrid;
 use crate::geom::Ray;
@@ -22,6 +22,8 @@ use crate::units::MaterialId;
 /// A [`Surface`] as vectors.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shader {
+    /// What it sends everywhere without lamps, where pictures change neither emission nor diffuse colour.
+    pub glow: DVec3,
     pub emission: DVec3,
     pub diffuse: DVec3,
     pub highlight: DVec3,
@@ -84,10 +86,12 @@ impl Exponent {
 }
 
 impl Shader {
-    fn new(surface: &Surface) -> Shader {
+    fn new(surface: &Surface, ambient: DVec3) -> Shader {
+        let diffuse = DVec3::from_array(surface.diffuse);
         Shader {
+            glow: DVec3::from_array(surface.emission) + diffuse * ambient,
             emission: DVec3::from_array(surface.emission),
-            diffuse: DVec3::from_array(surface.diffuse),
+            diffuse,
             highlight: DVec3::from_array(surface.highlight),
             has_highlight: surface.highlight != [0.0; 3],
             exponent: Exponent::new(surface.exponent),
@@ -103,6 +107,16 @@ impl Shader {
             reflects: surface.is_mirror() || surface.refracts(),
         }
     }
+}
+
+/// Names a sample.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PixelSample {
+    /// Its pixel.
+    pub x: u32,
+    pub y: u32,
+    /// Which of the pixel's.
+    pub number: u32,
 }
 
 /// A sample's way into the scene.
@@ -228,6 +242,7 @@ impl Stage {
             camera = camera.at_rest();
         }
         let details = [Effect::SmoothNormals, Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
+        let ambient = DVec3::from_array(scene.ambient().map(f64::from));
         let mut stage = Stage {
             grid: settings.grid(),
             settings: *settings,
@@ -242,9 +257,9 @@ impl Stage {
             environment,
             surroundings,
             background: DVec3::from_array(scene.background().map(f64::from)),
-            ambient: DVec3::from_array(scene.ambient().map(f64::from)),
+            ambient,
             bound: RadianceBound::new(scene, &surfaces, plan),
-            shaders: surfaces.iter().map(Shader::new).collect(),
+            shaders: surfaces.iter().map(|surface| Shader::new(surface, ambient)).collect(),
             transparent: materials_that(&|surface| surface.is_transparent()),
             straight: materials_that(&|surface| surface.is_transparent() && !surface.refracts()),
             path_loop: Loop::Sampled,
@@ -378,13 +393,25 @@ impl Stage {
         self.contribution_max(throughput, work) > self.settings.contribution_bound
     }
 
-    /// A sample of pixel (`x`, `y`): a pure function of scene and settings (I2).
+    /// A sample's way into the scene: a pure function of scene and settings (I2).
     #[inline(always)]
-    pub fn pixel_sample(&self, x: u32, y: u32, sample: u32) -> CameraSample {
+    pub fn pixel_sample(&self, PixelSample { x, y, number }: PixelSample) -> CameraSample {
         let settings = &self.settings;
         let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);
-        let offset = pixel_offset(settings.seed, pixel, sample, settings.samples_per_pixel, settings.filter);
-        self.camera_sample(pixel, sample, f64::from(x) + offset[0], f64::from(y) + offset[1])
+        let offset = pixel_offset(settings.seed, pixel, number, settings.samples_per_pixel, settings.filter);
+        self.camera_sample(pixel, number, f64::from(x) + offset[0], f64::from(y) + offset[1])
+    }
+
+    /// Whether all camera rays run through the middle of their pixel, at the same time, from the same point: then they are what
+    /// [`Stage::middle_ray`] gives.
+    pub fn has_middle_rays(&self) -> bool {
+        self.settings.samples_per_pixel == 1 && !self.view.has_lens() && !self.draws_time()
+    }
+
+    /// The ray through the middle of a pixel.
+    #[inline(always)]
+    pub fn middle_ray(&self, x: u32, y: u32) -> Ray {
+        self.view.ray(f64::from(x) + MIDDLE[0], f64::from(y) + MIDDLE[1])
     }
 
     /// The most that any ray can bring back in any channel, in trees of at most `work_budget` rays.

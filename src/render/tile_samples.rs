@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use super::adaptive::SampleBlocks;
 use super::film::{PixelCost, PixelStatistics};
-use super::stage::{CameraSample, Stage};
+use super::stage::{PixelSample, Stage};
 use super::tiles::{Area, morton_order};
 use crate::geom::round_up_f32;
 use crate::stats::TraceCounters;
@@ -101,32 +101,30 @@ impl TileSamples {
 
     /// Some samples of this round, in their order.
     #[inline]
-    pub fn samples<'t>(
-        &'t self,
-        stage: &'t Stage,
-        range: Range<u64>,
-    ) -> impl Iterator<Item = CameraSample> + 't {
+    pub fn samples(&self, range: Range<u64>) -> impl Iterator<Item = PixelSample> {
         let [mut place, skipped] = self.place_of(range.start);
         let corner = [self.place.ground.x, self.place.ground.y];
         // Below `samples_per_pixel`, a u32.
         let (first, end) = (self.first, self.first + self.per_pixel);
-        let mut sample = first + skipped as u32;
+        let mut next = first + skipped as u32;
         range.map(move |_| {
-            if sample == end {
-                (place, sample) = (place + 1, first);
+            if next == end {
+                (place, next) = (place + 1, first);
             }
             let [x, y] = self.pixels[self.active[place] as usize].map(u32::from);
-            sample += 1;
-            stage.pixel_sample(corner[0] + x, corner[1] + y, sample - 1)
+            let number = next;
+            next += 1;
+            PixelSample { x: corner[0] + x, y: corner[1] + y, number }
         })
     }
 
     /// A sample of this round.
-    pub fn sample(&self, stage: &Stage, index: u64) -> CameraSample {
+    pub fn sample(&self, index: u64) -> PixelSample {
         let [place, skipped] = self.place_of(index);
         let [x, y] = self.pixels[self.active[place] as usize].map(u32::from);
         // Below `samples_per_pixel`, a u32.
-        stage.pixel_sample(self.place.ground.x + x, self.place.ground.y + y, self.first + skipped as u32)
+        let number = self.first + skipped as u32;
+        PixelSample { x: self.place.ground.x + x, y: self.place.ground.y + y, number }
     }
 
     /// Where among the active pixels that of a sample of this round is, and how many samples of that pixel come before it in the round.

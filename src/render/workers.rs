@@ -336,7 +336,7 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
                 end = end.min((start / tile.per_pixel() + 1) * tile.per_pixel());
             }
             let before = stage.settings.keep_costs.then(|| self.paths.query.counters());
-            self.paths.trace(tile.samples(stage, start..end))?;
+            self.paths.trace(tile.samples(start..end))?;
             if let Some(before) = before {
                 tile.add_cost(start, &before, &self.paths.query.counters());
             }

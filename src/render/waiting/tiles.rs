@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use glam::DVec3;
 
-use crate::render::stage::{CameraSample, Stage};
+use crate::render::stage::{PixelSample, Stage};
 use crate::render::tile_samples::{FinishedTile, TileSamples};
 use crate::units::TileId;
 
@@ -113,8 +113,8 @@ impl Tiles {
     }
 
     /// What is known of a sample before it begins.
-    pub fn sample(&self, stage: &Stage, tile: u32, index: u64) -> CameraSample {
-        self.jobs[tile as usize].samples.sample(stage, index)
+    pub fn sample(&self, tile: u32, index: u64) -> PixelSample {
+        self.jobs[tile as usize].samples.sample(index)
     }
 
     /// Takes in a sample that is done.
