@@ -9,7 +9,9 @@ use super::float::{U64, gamma};
 #[inline]
 pub fn hit_position(vertices: &[[f64; 3]; 3], u: f64, v: f64) -> [f64; 3] {
     let [a, b, c] = vertices;
-    [0, 1, 2].map(|axis| a[axis] + (u * (b[axis] - a[axis]) + v * (c[axis] - a[axis])))
+    // Not by `map`, which is not always compiled into its caller.
+    let at = |axis: usize| a[axis] + (u * (b[axis] - a[axis]) + v * (c[axis] - a[axis]));
+    [at(0), at(1), at(2)]
 }
 
 /// A bound, the same for each axis, on the distance between [`hit_position`] and the point of the triangle's plane with exactly
@@ -26,8 +28,8 @@ pub fn position_error(vertices: &[[f64; 3]; 3], u: f64, v: f64) -> f64 {
     for axis in 0..3 {
         let (along_b, along_c) = (u * (b[axis] - a[axis]), v * (c[axis] - a[axis]));
         let position = a[axis] + (along_b + along_c);
-        let bound =
-            gamma(4) * (along_b.abs() + along_c.abs()) + U64 * (1.0 + gamma(1 << 12)) * position.abs();
+        let bound = const { gamma(4) } * (along_b.abs() + along_c.abs())
+            + U64 * (1.0 + const { gamma(1 << 12) }) * position.abs();
         error = error.max(bound);
     }
     // Above the smallest normal number so that it can be multiplied; covers a product that underflowed.

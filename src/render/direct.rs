@@ -6,63 +6,65 @@ use glam::DVec3;
 
 use super::hot::EffectsOfLoop;
 use super::lamps::{Lobes, highlight};
-use super::paths::PathTracer;
+use super::paths::{PathTracer, Point};
 use super::query::RayQuery;
 use super::random::Dimension;
+use super::stage::Stage;
 use crate::error::TraceError;
+use crate::scene::Emitter;
 
 impl<Q: RayQuery> PathTracer<'_, Q> {
     /// Adds the light of every lamp at every point, lamp by lamp: rays to one lamp stay together, and each sample
     /// sums its lamps in the scene's order.
     pub(super) fn light<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
+        // Apart from the rest, so that a point is read where it stands.
+        let points = std::mem::take(&mut self.points);
+        let result = self.light_points::<E>(&points);
+        self.points = points;
+        result
+    }
+
+    fn light_points<E: EffectsOfLoop>(&mut self, points: &[Point]) -> Result<(), TraceError> {
         let stage = self.stage;
         let with_rays = stage.shadows || stage.force_shadows;
         let mut start = Instant::now();
         for (light, emitter) in (0u32..).zip(&stage.emitters) {
-            for index in 0..self.points.len() {
-                let point = self.points[index];
-                let incidence = emitter.incidence(point.position);
-                let mut contribution = DVec3::ZERO;
+            for (index, point) in points.iter().enumerate() {
+                let mut contribution;
                 let mut origin = point.origin;
                 if E::SAMPLED {
                     let scatter = self.scatters[index];
+                    let incidence = emitter.incidence(point.position);
                     if incidence.toward.dot(point.normal) < 0.0 {
                         origin = scatter.far_origin;
                     }
-                    let response = self.response(&point, &scatter, incidence.toward, None, Lobes::All);
+                    let response = self.response(point, &scatter, incidence.toward, None, Lobes::All);
                     let arriving = point.throughput * response * incidence.irradiance;
-                    contribution = self.worth_asking(
-                        point.slot,
-                        &scatter,
-                        arriving,
-                        Dimension::PointLightRoulette(light),
-                    );
-                } else {
-                    let shader = stage.shader(point.material);
-                    let cosine = incidence.toward.dot(point.normal);
-                    if cosine > 0.0 {
-                        let mut response = shader.diffuse * cosine;
-                        if shader.highlight != DVec3::ZERO {
-                            response += highlight(shader, &point, incidence.toward);
-                        }
-                        contribution = point.throughput * response * incidence.irradiance;
+                    let dimension = Dimension::PointLightRoulette(light);
+                    contribution = self.worth_asking(point.slot, &scatter, arriving, dimension);
+                    if contribution == DVec3::ZERO && !stage.force_shadows {
+                        continue;
                     }
-                    let largest = contribution.max_element();
-                    if largest <= stage.settings.contribution_bound {
-                        self.counters.contribution_cuts += u64::from(largest > 0.0);
-                        self.lost[point.slot as usize] += largest;
+                } else {
+                    contribution = received::<E>(stage, emitter, point);
+                    let bound = stage.settings.contribution_bound;
+                    if !(contribution.x > bound || contribution.y > bound || contribution.z > bound) {
+                        let largest = contribution.max_element();
+                        if largest > 0.0 {
+                            self.counters.contribution_cuts += 1;
+                            self.lost[point.slot as usize] += largest;
+                        }
+                        if !stage.force_shadows {
+                            continue;
+                        }
                         contribution = DVec3::ZERO;
                     }
-                }
-                if contribution == DVec3::ZERO && !stage.force_shadows {
-                    continue;
                 }
                 if !with_rays {
                     self.radiance[point.slot as usize] += contribution;
                     continue;
                 }
-                let ray = emitter.shadow_ray(origin, point.normal);
-                self.shadows.push(point.slot, contribution, ray);
+                self.shadows.push(point.slot, contribution, emitter.shadow_ray(origin, point.normal));
                 if self.shadows.is_full() {
                     start = self.resolve_shadows(start)?;
                 }
@@ -85,5 +87,24 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         let resolved = Instant::now();
         self.seconds.shadows += (resolved - shaded).as_secs_f64();
         Ok(resolved)
+    }
+}
+
+/// What a point without luck sends back of a light, if nothing stands in its way.
+#[inline(always)]
+fn received<E: EffectsOfLoop>(stage: &Stage, emitter: &Emitter, point: &Point) -> DVec3 {
+    let incidence = emitter.incidence(point.position);
+    let cosine = incidence.toward.dot(point.normal);
+    if cosine > 0.0 {
+        let shader = stage.shader(point.material);
+        let mut response = shader.diffuse * cosine;
+        if shader.has_highlight {
+            response += highlight(shader, point, incidence.toward);
+        }
+        // Without rays that go on from hits, points carry everything.
+        let throughput = if E::SECONDARY { point.throughput } else { DVec3::ONE };
+        throughput * response * incidence.irradiance
+    } else {
+        DVec3::ZERO
     }
 }

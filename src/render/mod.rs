@@ -39,6 +39,7 @@
 //! ```
 
 mod adaptive;
+mod begin;
 mod bounce;
 mod bound;
 mod counters;

@@ -13,7 +13,7 @@ use super::bounce::{Walk, bounce};
 use super::counters::EffectCounters;
 use super::detail::normals::on_side;
 use super::detail::query::SurfaceQuery;
-use super::detail::{Cone, Detail, Seen};
+use super::detail::{Detail, Seen};
 use super::glossy;
 use super::hot::{Detailed, EffectsOfLoop, Matt, Sampled, Whitted};
 use super::lamps::Scatter;
@@ -24,7 +24,7 @@ use super::query::RayQuery;
 use super::random::Dimension;
 use super::report::WorkerSeconds;
 use super::shadows::ShadowBatch;
-use super::stage::{CameraSample, Loop, Shader, Stage};
+use super::stage::{Loop, PixelSample, Shader, Stage};
 use crate::error::TraceError;
 use crate::geom::{Ray, offset_origin};
 use crate::trace::Hit;
@@ -116,7 +116,7 @@ pub(crate) struct PathTracer<'s, Q> {
     pub(super) lost_by_shadows: Vec<f64>,
     pub(super) shadows: ShadowBatch,
     /// Rays of forced effects that cannot matter.
-    forced: Vec<Ray>,
+    pub(super) forced: Vec<Ray>,
     /// One beside each of `heads`, `next_heads`, `points` and `waiting`, in loops that sample effects; empty in others.
     pub(super) walks: Vec<Walk>,
     pub(super) next_walks: Vec<Walk>,
@@ -172,7 +172,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     ///
     /// # Errors
     /// Those of the query; nothing that was computed is to be used then.
-    pub fn trace(&mut self, samples: impl Iterator<Item = CameraSample>) -> Result<(), TraceError> {
+    pub fn trace(&mut self, samples: impl Iterator<Item = PixelSample>) -> Result<(), TraceError> {
         // Decided once per batch; inside, what a loop does not know is not there (I6).
         match self.stage.path_loop {
             Loop::Matt => self.trace_in::<Matt>(samples),
@@ -184,10 +184,10 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
 
     fn trace_in<E: EffectsOfLoop>(
         &mut self,
-        samples: impl Iterator<Item = CameraSample>,
+        samples: impl Iterator<Item = PixelSample>,
     ) -> Result<(), TraceError> {
         self.begin::<E>(samples);
-        while !self.heads.is_empty() {
+        while !self.rays.is_empty() {
             self.step::<E>()?;
         }
         self.counters.add_details(&std::mem::take(&mut self.query.counters));
@@ -195,52 +195,6 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             *lost += by_shadows;
         }
         Ok(())
-    }
-
-    /// Makes the camera rays of these samples the heads.
-    pub(super) fn begin<E: EffectsOfLoop>(&mut self, samples: impl Iterator<Item = CameraSample>) {
-        self.heads.clear();
-        self.rays.clear();
-        self.walks.clear();
-        self.radiance.clear();
-        self.lost.clear();
-        self.times.clear();
-        let work = self.stage.settings.work_budget;
-        for (slot, CameraSample { key, ray, time }) in samples.enumerate() {
-            if self.stage.are_moving {
-                self.times.push(time);
-            }
-            self.rays.push(ray);
-            self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
-            if E::SAMPLED {
-                let mut walk = Walk::start(key);
-                if E::DETAILED {
-                    let [width, spread] = self.stage.view.footprint();
-                    walk.cone = Cone { width, spread };
-                }
-                self.walks.push(walk);
-                // A lens of radius 0 and a camera at rest see what the camera sees.
-                let forced = [self.stage.force_lens, self.stage.force_shutter];
-                self.forced.extend(forced.into_iter().filter(|forced| *forced).map(|_| ray));
-            }
-        }
-        let count = self.heads.len() as u64;
-        self.radiance.resize(self.heads.len(), DVec3::ZERO);
-        self.lost.resize(self.heads.len(), 0.0);
-        self.lost_by_shadows.clear();
-        if self.stage.transparent.is_some() {
-            self.lost_by_shadows.resize(self.heads.len(), 0.0);
-        }
-        self.counters.samples += count;
-        self.counters.primary_rays += count;
-        if self.stage.view.has_lens() {
-            self.counters.lens_rays += count;
-            self.counters.random_numbers += 2 * count;
-        }
-        if self.stage.draws_time() {
-            self.counters.shutter_rays += count;
-            self.counters.random_numbers += count;
-        }
     }
 
     /// Radiance of each ray of the last [`PathTracer::trace`].
@@ -259,7 +213,12 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         let start = Instant::now();
         if self.stage.are_moving {
             self.ray_times.clear();
-            self.ray_times.extend(self.heads.iter().map(|head| self.times[head.slot as usize]));
+            if E::SECONDARY {
+                self.ray_times.extend(self.heads.iter().map(|head| self.times[head.slot as usize]));
+            } else {
+                // Each ray is its sample's first.
+                self.ray_times.extend_from_slice(&self.times);
+            }
             self.query.at_times(&mut self.ray_times.iter().copied());
         }
         let hits = &mut self.hits[..self.rays.len()];
@@ -330,8 +289,8 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         self.next_rays.clear();
         self.next_walks.clear();
         let stage = self.stage;
-        for index in 0..self.heads.len() {
-            let mut head = self.heads[index];
+        for index in 0..self.rays.len() {
+            let mut head = self.head::<E>(index);
             let slot = head.slot as usize;
             let border = if E::SAMPLED && stage.nested { Some(self.borders.borders[index]) } else { None };
             let inside = border.and_then(|border| border.before);
@@ -350,7 +309,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             };
             let shader = stage.shader(hit.material);
             let direction = DVec3::from_array(self.rays[index].direction);
-            let geometric = DVec3::from_array(hit.normal());
+            let (position, geometric) = (hit.position(), DVec3::from_array(hit.normal()));
             let is_behind = geometric.dot(direction) > 0.0;
             // The normal of a needle may vanish in rounding; then the surface is taken to face the ray.
             let normal = geometric.try_normalize().map_or(-direction, |n| if is_behind { -n } else { n });
@@ -369,8 +328,9 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 self.counters.absorbed_segments += 1;
                 head.throughput *= absorb(medium, hit.t);
             }
-            let error = border.map_or(0.0, |border| border.error).max(hit.position_error());
-            let origin_on = |side: DVec3| offset_origin(hit.position(), error, hit.normal(), side.to_array());
+            let error = border.map_or(hit.position_error(), |border| border.error.max(hit.position_error()));
+            let origin_on =
+                |side: DVec3| offset_origin(position, error, geometric.to_array(), side.to_array());
             if E::SAMPLED && border.is_some_and(|border| border.is_none()) {
                 // Two bodies overlap, and this surface is inside the stronger one.
                 self.counters.passed_surfaces += 1;
@@ -388,7 +348,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 slot: head.slot,
                 material: hit.material,
                 throughput: head.throughput,
-                position: DVec3::from_array(hit.position()),
+                position: DVec3::from_array(position),
                 normal,
                 origin: origin_on(normal),
                 view: -direction,
@@ -417,7 +377,9 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                     shader = &local;
                 }
             }
-            self.radiance[slot] += head.throughput * (shader.emission + shader.diffuse * stage.ambient);
+            let glow =
+                if E::DETAILED { shader.emission + shader.diffuse * stage.ambient } else { shader.glow };
+            self.radiance[slot] += head.throughput * glow;
             let is_lit = stage.direct || E::SAMPLED && stage.samples_lights();
             let eta =
                 if E::SECONDARY { index_ratio(stage, shader, border.as_ref(), is_behind) } else { None };
@@ -744,8 +706,11 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
 
     /// Makes the ray that waited last the sample's head; without one the sample is done.
     fn advance_from_stack<E: EffectsOfLoop>(&mut self, slot: u32) {
+        if !E::SECONDARY {
+            return;
+        }
         let count = &mut self.waiting_counts[slot as usize];
-        if !E::SECONDARY || *count == 0 {
+        if *count == 0 {
             return;
         }
         *count -= 1;

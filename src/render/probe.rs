@@ -9,7 +9,7 @@ use super::adaptive::SampleBlocks;
 use super::counters::EffectCounters;
 use super::paths::{self, PathTracer};
 use super::query::RayQuery;
-use super::stage::Stage;
+use super::stage::{PixelSample, Stage};
 use super::tile_samples::contrast;
 use super::tiles::Area;
 use crate::budget::{MemoryBudget, Reservation};
@@ -251,10 +251,9 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
         let mut start = 0;
         while start < total {
             let end = total.min(start + self.paths.batch_samples);
-            let stage = self.stage;
             let rays = (start..end).map(|index| {
                 let [x, y] = places[index / count as usize];
-                stage.pixel_sample(x, y, first + (index % count as usize) as u32)
+                PixelSample { x, y, number: first + (index % count as usize) as u32 }
             });
             self.paths.trace(rays)?;
             for (index, (radiance, lost)) in

@@ -8,7 +8,7 @@ use parking_lot::Mutex;
 use super::counters::EffectCounters;
 use super::paths::PathTracer;
 use super::query::RayQuery;
-use super::stage::Stage;
+use super::stage::{PixelSample, Stage};
 use super::workers::on_threads;
 use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
@@ -123,7 +123,7 @@ impl Shared<'_> {
                 }
                 paths.trace(batch.iter().map(|&(index, sample)| {
                     let SampledPixel { x, y, samples } = pixels[index];
-                    self.stage.pixel_sample(x, y, samples + sample)
+                    PixelSample { x, y, number: samples + sample }
                 }))?;
                 for (&(index, _), radiance) in batch.iter().zip(paths.radiance()) {
                     sums[index] += *radiance;

@@ -41,13 +41,19 @@ pub(crate) fn mix(mut x: u64) -> u64 {
     x ^ x >> 31
 }
 
+/// The middle of a pixel.
+pub(crate) const MIDDLE: [f64; 2] = [0.5, 0.5];
+
 /// Where sample `sample` of `count` of a pixel lies, in pixels from the pixel's upper left corner. A single sample
 /// lies in the middle. The first `2^k` samples of a pixel fall one into each elementary rectangle of area `2^-k`
 /// (before the filter's warp): Sobol's first two dimensions with hash-based Owen scrambling (Burley 2020).
+#[inline]
 pub(crate) fn pixel_offset(seed: u64, pixel: u64, sample: u32, count: u32, filter: Filter) -> [f64; 2] {
-    if count == 1 {
-        return [0.5, 0.5];
-    }
+    if count == 1 { MIDDLE } else { spread(seed, pixel, sample, filter) }
+}
+
+/// [`pixel_offset`] of one of several samples.
+fn spread(seed: u64, pixel: u64, sample: u32, filter: Filter) -> [f64; 2] {
     let scramble = |purpose, bits| {
         // The key names the pixel, not the sample: one scramble per pixel keeps its samples stratified.
         let seed = hash(seed, pixel, 0, 0, purpose) as u32;

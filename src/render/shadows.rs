@@ -151,6 +151,17 @@ impl ShadowBatch {
         }
         query.occluded(&self.rays, passed.as_ref(), occlusion)?;
         counters.shadow_rays += count as u64;
+        if passed.is_none() {
+            // Nothing shines through, so that the answers are all there is. Shadows that are traced only because they are forced must not show.
+            for (claim, answer) in self.claims.iter().zip(&*occlusion) {
+                if *answer == Occlusion::Clear || !stage.shadows {
+                    radiance[claim.slot as usize] += claim.contribution;
+                }
+            }
+            self.rays.clear();
+            self.claims.clear();
+            return Ok(());
+        }
         // Shadows that are traced only because they are forced must not show.
         if stage.shadows {
             for (index, answer) in occlusion.iter().enumerate() {

@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::bound::RadianceBound;
 use super::detail::maps::{CutOuts, MaterialMaps, cut_outs, maps};
 use super::random::{Dimension, SampleKey, VertexId};
-use super::sampling::pixel_offset;
+use super::sampling::{MIDDLE, pixel_offset};
 use super::settings::{PathEnd, RenderSettings};
 use super::tiles::TileGrid;
 use crate::geom::Ray;
@@ -22,9 +22,12 @@ use crate::units::MaterialId;
 /// A [`Surface`] as vectors.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shader {
+    /// What it sends everywhere without lamps, where pictures change neither emission nor diffuse colour.
+    pub glow: DVec3,
     pub emission: DVec3,
     pub diffuse: DVec3,
     pub highlight: DVec3,
+    pub has_highlight: bool,
     pub exponent: Exponent,
     pub mirror: DVec3,
     pub transmission: f64,
@@ -83,11 +86,14 @@ impl Exponent {
 }
 
 impl Shader {
-    fn new(surface: &Surface) -> Shader {
+    fn new(surface: &Surface, ambient: DVec3) -> Shader {
+        let diffuse = DVec3::from_array(surface.diffuse);
         Shader {
+            glow: DVec3::from_array(surface.emission) + diffuse * ambient,
             emission: DVec3::from_array(surface.emission),
-            diffuse: DVec3::from_array(surface.diffuse),
+            diffuse,
             highlight: DVec3::from_array(surface.highlight),
+            has_highlight: surface.highlight != [0.0; 3],
             exponent: Exponent::new(surface.exponent),
             mirror: DVec3::from_array(surface.mirror),
             transmission: surface.transmission,
@@ -101,6 +107,16 @@ impl Shader {
             reflects: surface.is_mirror() || surface.refracts(),
         }
     }
+}
+
+/// Names a sample.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PixelSample {
+    /// Its pixel.
+    pub x: u32,
+    pub y: u32,
+    /// Which of the pixel's.
+    pub number: u32,
 }
 
 /// A sample's way into the scene.
@@ -226,6 +242,7 @@ impl Stage {
             camera = camera.at_rest();
         }
         let details = [Effect::SmoothNormals, Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
+        let ambient = DVec3::from_array(scene.ambient().map(f64::from));
         let mut stage = Stage {
             grid: settings.grid(),
             settings: *settings,
@@ -240,9 +257,9 @@ impl Stage {
             environment,
             surroundings,
             background: DVec3::from_array(scene.background().map(f64::from)),
-            ambient: DVec3::from_array(scene.ambient().map(f64::from)),
+            ambient,
             bound: RadianceBound::new(scene, &surfaces, plan),
-            shaders: surfaces.iter().map(Shader::new).collect(),
+            shaders: surfaces.iter().map(|surface| Shader::new(surface, ambient)).collect(),
             transparent: materials_that(&|surface| surface.is_transparent()),
             straight: materials_that(&|surface| surface.is_transparent() && !surface.refracts()),
             path_loop: Loop::Sampled,
@@ -311,9 +328,9 @@ impl Stage {
     }
 
     /// The way into the scene of sample `sample` of `pixel`, which lies at `(x, y)` of the image.
+    #[inline(always)]
     pub fn camera_sample(&self, pixel: u64, sample: u32, x: f64, y: f64) -> CameraSample {
-        let (has_lens, is_moving) = (self.view.has_lens(), self.draws_time());
-        if !(has_lens || is_moving) {
+        if !(self.view.has_lens() || self.draws_time()) {
             // Loops without luck draw no numbers, and need no key for them (I6).
             let key = match self.path_loop {
                 Loop::Matt | Loop::Whitted => SampleKey::NONE,
@@ -321,6 +338,12 @@ impl Stage {
             };
             return CameraSample { key, ray: self.view.ray(x, y), time: 0.0 };
         }
+        self.lucky_camera_sample(pixel, sample, x, y)
+    }
+
+    /// [`Stage::camera_sample`] through a lens or at a time.
+    fn lucky_camera_sample(&self, pixel: u64, sample: u32, x: f64, y: f64) -> CameraSample {
+        let (has_lens, is_moving) = (self.view.has_lens(), self.draws_time());
         let key = SampleKey::new(self.settings.seed, pixel, sample);
         let lens = if has_lens { key.pair(VertexId::CAMERA, Dimension::Lens) } else { [0.5; 2] };
         let time = if is_moving { key.one(VertexId::CAMERA, Dimension::Shutter) } else { 0.0 };
@@ -328,6 +351,7 @@ impl Stage {
     }
 
     /// Whether each sample has a time of its own.
+    #[inline]
     pub fn draws_time(&self) -> bool {
         self.view.is_moving() || self.are_moving
     }
@@ -356,6 +380,7 @@ impl Stage {
     }
 
     /// The shading terms of a material.
+    #[inline]
     pub fn shader(&self, material: MaterialId) -> &Shader {
         // The decoder refuses blocks that name materials outside their directory entry's range, and the directory
         // refuses ranges outside the table (I5).
@@ -368,12 +393,25 @@ impl Stage {
         self.contribution_max(throughput, work) > self.settings.contribution_bound
     }
 
-    /// A sample of pixel (`x`, `y`): a pure function of scene and settings (I2).
-    pub fn pixel_sample(&self, x: u32, y: u32, sample: u32) -> CameraSample {
+    /// A sample's way into the scene: a pure function of scene and settings (I2).
+    #[inline(always)]
+    pub fn pixel_sample(&self, PixelSample { x, y, number }: PixelSample) -> CameraSample {
         let settings = &self.settings;
         let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);
-        let offset = pixel_offset(settings.seed, pixel, sample, settings.samples_per_pixel, settings.filter);
-        self.camera_sample(pixel, sample, f64::from(x) + offset[0], f64::from(y) + offset[1])
+        let offset = pixel_offset(settings.seed, pixel, number, settings.samples_per_pixel, settings.filter);
+        self.camera_sample(pixel, number, f64::from(x) + offset[0], f64::from(y) + offset[1])
+    }
+
+    /// Whether all camera rays run through the middle of their pixel, at the same time, from the same point: then they are what
+    /// [`Stage::middle_ray`] gives.
+    pub fn has_middle_rays(&self) -> bool {
+        self.settings.samples_per_pixel == 1 && !self.view.has_lens() && !self.draws_time()
+    }
+
+    /// The ray through the middle of a pixel.
+    #[inline(always)]
+    pub fn middle_ray(&self, x: u32, y: u32) -> Ray {
+        self.view.ray(f64::from(x) + MIDDLE[0], f64::from(y) + MIDDLE[1])
     }
 
     /// The most that any ray can bring back in any channel, in trees of at most `work_budget` rays.

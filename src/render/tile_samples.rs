@@ -3,11 +3,13 @@
 //! A round is a list of samples, pixel by pixel; whoever traces them gives them back in that order, so that every pixel sums up its samples in
 //! the same order whoever that is (I2).
 
+use std::ops::Range;
+
 use glam::DVec3;
 
 use super::adaptive::SampleBlocks;
 use super::film::{PixelCost, PixelStatistics};
-use super::stage::{CameraSample, Stage};
+use super::stage::{PixelSample, Stage};
 use super::tiles::{Area, morton_order};
 use crate::geom::round_up_f32;
 use crate::stats::TraceCounters;
@@ -17,7 +19,7 @@ use crate::stats::TraceCounters;
 struct Place {
     /// The tile itself.
     area: Area,
-    /// The tile and what is traced around it.
+    /// The tile and what is traced around it; the tile alone unless sampling is adaptive.
     ground: Area,
 }
 
@@ -67,8 +69,11 @@ impl TileSamples {
     pub fn begin(&mut self, stage: &Stage, area: Area) {
         let settings = &stage.settings;
         let ground = if settings.adaptive.is_some() { stage.grid.surroundings(&area) } else { area };
+        // Most tiles have the shape of the one before.
+        if [ground.width, ground.height] != [self.place.ground.width, self.place.ground.height] {
+            morton_order(ground.width, ground.height, &mut self.pixels);
+        }
         self.place = Place { area, ground };
-        morton_order(ground.width, ground.height, &mut self.pixels);
         let count = self.pixels.len();
         self.sums.clear();
         self.sums.resize(count, DVec3::ZERO);
@@ -94,24 +99,79 @@ impl TileSamples {
         u64::from(self.per_pixel)
     }
 
-    /// A sample of this round.
-    pub fn sample(&self, stage: &Stage, index: u64) -> CameraSample {
-        let per_pixel = u64::from(self.per_pixel);
-        let [x, y] = self.pixels[self.active[(index / per_pixel) as usize] as usize].map(u32::from);
+    /// Some samples of this round, in their order.
+    #[inline]
+    pub fn samples(&self, range: Range<u64>) -> impl Iterator<Item = PixelSample> {
+        let [mut place, skipped] = self.place_of(range.start);
+        let corner = [self.place.ground.x, self.place.ground.y];
         // Below `samples_per_pixel`, a u32.
-        let sample = self.first + (index % per_pixel) as u32;
-        stage.pixel_sample(self.place.ground.x + x, self.place.ground.y + y, sample)
+        let (first, end) = (self.first, self.first + self.per_pixel);
+        let mut next = first + skipped as u32;
+        range.map(move |_| {
+            if next == end {
+                (place, next) = (place + 1, first);
+            }
+            let [x, y] = self.pixels[self.active[place] as usize].map(u32::from);
+            let number = next;
+            next += 1;
+            PixelSample { x: corner[0] + x, y: corner[1] + y, number }
+        })
     }
 
-    /// Takes in what became of a sample; to be called in their order. Whether its pixel belongs to the tile.
-    #[inline]
-    pub fn add(&mut self, index: u64, radiance: DVec3, lost: f64) -> bool {
-        let pixel = self.active[(index / u64::from(self.per_pixel)) as usize] as usize;
-        self.sums[pixel] += radiance;
-        if let Some(blocks) = self.blocks.get_mut(pixel) {
-            blocks.add(radiance, lost);
+    /// A sample of this round.
+    pub fn sample(&self, index: u64) -> PixelSample {
+        let [place, skipped] = self.place_of(index);
+        let [x, y] = self.pixels[self.active[place] as usize].map(u32::from);
+        // Below `samples_per_pixel`, a u32.
+        let number = self.first + skipped as u32;
+        PixelSample { x: self.place.ground.x + x, y: self.place.ground.y + y, number }
+    }
+
+    /// Where among the active pixels that of a sample of this round is, and how many samples of that pixel come before it in the round.
+    fn place_of(&self, index: u64) -> [usize; 2] {
+        let per_pixel = u64::from(self.per_pixel);
+        [(index / per_pixel) as usize, (index % per_pixel) as usize]
+    }
+
+    /// Takes in what became of the samples from number `start` of this round on; to be called in their order. How many of them belong to the
+    /// tile's own pixels.
+    pub fn add(&mut self, start: u64, radiance: &[DVec3], lost: &[f64]) -> u64 {
+        let [place, skipped] = self.place_of(start);
+        // The first may go on with a pixel.
+        let begun = (self.per_pixel as usize - skipped).min(radiance.len());
+        self.add_pixels(place, &radiance[..begun], &lost[..begun])
+            + self.add_pixels(place + 1, &radiance[begun..], &lost[begun..])
+    }
+
+    /// [`TileSamples::add`] for whole pixels, or one, from this place among the active ones on.
+    fn add_pixels(&mut self, place: usize, radiance: &[DVec3], lost: &[f64]) -> u64 {
+        let per_pixel = self.per_pixel as usize;
+        if self.blocks.is_empty() {
+            // Not adaptive: every pixel is active, in its order, and the tile's own.
+            if per_pixel == 1 {
+                self.sums[place..].iter_mut().zip(radiance).for_each(|(sum, radiance)| *sum += *radiance);
+                return radiance.len() as u64;
+            }
+            for (sum, radiance) in self.sums[place..].iter_mut().zip(radiance.chunks(per_pixel)) {
+                for radiance in radiance {
+                    *sum += *radiance;
+                }
+            }
+            return radiance.len() as u64;
         }
-        self.place.is_own(self.pixels[pixel])
+        let mut own = 0;
+        let samples = radiance.chunks(per_pixel).zip(lost.chunks(per_pixel));
+        for (&pixel, (radiance, lost)) in self.active[place..].iter().zip(samples) {
+            let pixel = pixel as usize;
+            for (radiance, lost) in radiance.iter().zip(lost) {
+                self.sums[pixel] += *radiance;
+                self.blocks[pixel].add(*radiance, *lost);
+            }
+            if self.place.is_own(self.pixels[pixel]) {
+                own += radiance.len() as u64;
+            }
+        }
+        own
     }
 
     /// Books what was done between two looks at the counters for the pixel of a sample of this round.
@@ -167,18 +227,30 @@ impl TileSamples {
         let settings = &stage.settings;
         let area = &place.area;
         let count = area.width as usize * area.height as usize;
-        finished.pixels.clear();
+        // Every one is set below.
         finished.pixels.resize(count, [0.0; 3]);
         finished.statistics.clear();
         finished.statistics.resize(if settings.keep_statistics { count } else { 0 }, PixelStatistics::NONE);
         finished.costs.clear();
         finished.costs.resize(if settings.keep_costs { count } else { 0 }, PixelCost::default());
+        if blocks.is_empty() {
+            // Not adaptive: every pixel is the tile's own, and has all its samples.
+            let (width, samples) = (area.width as usize, f64::from(settings.samples_per_pixel));
+            let to = |[x, y]: [u16; 2]| usize::from(y) * width + usize::from(x);
+            for (pixel, sum) in pixels.iter().zip(sums) {
+                finished.pixels[to(*pixel)] = to_f32(*sum / samples);
+            }
+            for (pixel, cost) in pixels.iter().zip(costs) {
+                finished.costs[to(*pixel)] = *cost;
+            }
+            return 0;
+        }
         let mut saved = 0;
         for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {
             let [x, y] = pixel.map(u32::from);
             let (x, y) = (place.ground.x + x - area.x, place.ground.y + y - area.y);
             let to = y as usize * area.width as usize + x as usize;
-            let samples = blocks.get(index).map_or(settings.samples_per_pixel, SampleBlocks::samples);
+            let samples = blocks[index].samples();
             saved += u64::from(settings.samples_per_pixel - samples);
             finished.pixels[to] = to_f32(sums[index] / f64::from(samples));
             if let Some(cost) = finished.costs.get_mut(to) {

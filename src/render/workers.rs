@@ -337,17 +337,11 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
                 end = end.min((start / tile.per_pixel() + 1) * tile.per_pixel());
             }
             let before = stage.settings.keep_costs.then(|| self.paths.query.counters());
-            self.paths.trace((start..end).map(|index| tile.sample(stage, index)))?;
+            self.paths.trace(tile.samples(start..end))?;
             if let Some(before) = before {
                 tile.add_cost(start, &before, &self.paths.query.counters());
             }
-            let mut own = 0;
-            for (index, (radiance, lost)) in
-                (start..end).zip(self.paths.radiance().iter().zip(self.paths.lost()))
-            {
-                own += u64::from(tile.add(index, *radiance, *lost));
-            }
-            self.watch.add_samples(own);
+            self.watch.add_samples(tile.add(start, self.paths.radiance(), self.paths.lost()));
             start = end;
             if start < total {
                 self.watch.report();

@@ -224,10 +224,12 @@ impl Camera {
             Projection::Pinhole { fov_degrees } => libm::tan(0.5 * fov_degrees.to_radians()),
             Projection::Orthographic { height } => 0.5 * height,
         };
+        let pixel = 2.0 * half_height / f64::from(height.max(1));
         View {
             eye: self.eye,
             frame: self.frame,
-            pixel: 2.0 * half_height / f64::from(height.max(1)),
+            pixel,
+            steps: steps(self.frame, pixel),
             center: [0.5 * f64::from(width), 0.5 * f64::from(height)],
             parallel: matches!(self.projection, Projection::Orthographic { .. }),
             lens: self.lens.filter(|lens| lens.radius > 0.0),
@@ -243,6 +245,8 @@ pub struct View {
     frame: [DVec3; 3],
     /// Side of a pixel, at unit distance for a pinhole.
     pixel: f64,
+    /// From a pixel to its neighbours to the right and below, when the shutter opens.
+    steps: [DVec3; 2],
     center: [f64; 2],
     parallel: bool,
     lens: Option<Lens>,
@@ -253,8 +257,9 @@ impl View {
     /// The ray through `(x, y)` in pixels from the image's upper left corner: the middle of the first pixel is
     /// `(0.5, 0.5)`. The direction has unit length (rounded), so `t` is a distance. A pure function of the camera,
     /// the image size and the position (I2). Through the middle of a lens, when the shutter opens.
+    #[inline]
     pub fn ray(&self, x: f64, y: f64) -> Ray {
-        self.ray_from(self.eye, self.frame, x, y)
+        self.ray_from(self.eye, self.frame[2], self.steps, x, y)
     }
 
     /// Width of a pixel at the beginning of its ray, and how much wider it becomes along a unit of the ray (in the middle of the picture).
@@ -263,11 +268,13 @@ impl View {
     }
 
     /// Whether [`View::sampled_ray`] looks at the point of the lens it is given.
+    #[inline]
     pub(crate) fn has_lens(&self) -> bool {
         self.lens.is_some()
     }
 
     /// Whether [`View::sampled_ray`] looks at the time it is given.
+    #[inline]
     pub(crate) fn is_moving(&self) -> bool {
         self.end.is_some()
     }
@@ -275,19 +282,22 @@ impl View {
     /// [`View::ray`] through the point of the lens that belongs to `lens` in the unit square, at `time` between 0, when the
     /// shutter opens, and 1. Without lens and motion both are ignored, and the ray is that of [`View::ray`] to the bit.
     pub(crate) fn sampled_ray(&self, x: f64, y: f64, lens: [f64; 2], time: f64) -> Ray {
-        let (eye, frame) = match &self.end {
-            Some(end) => end.at(self.eye, self.frame, time),
-            None => (self.eye, self.frame),
+        let (eye, frame, steps) = match &self.end {
+            Some(end) => {
+                let (eye, frame) = end.at(self.eye, self.frame, time);
+                (eye, frame, steps(frame, self.pixel))
+            }
+            None => (self.eye, self.frame, self.steps),
         };
-        let ray = self.ray_from(eye, frame, x, y);
+        let ray = self.ray_from(eye, frame[2], steps, x, y);
         match &self.lens {
             Some(through) => through.bend(&ray, frame, lens),
             None => ray,
         }
     }
 
-    fn ray_from(&self, eye: DVec3, [right, up, forward]: [DVec3; 3], x: f64, y: f64) -> Ray {
-        let (right, down) = (right * self.pixel, up * -self.pixel);
+    #[inline]
+    fn ray_from(&self, eye: DVec3, forward: DVec3, [right, down]: [DVec3; 2], x: f64, y: f64) -> Ray {
         let offset = right * (x - self.center[0]) + down * (y - self.center[1]);
         if self.parallel {
             Ray::new((eye + offset).to_array(), forward.to_array())
@@ -295,6 +305,11 @@ impl View {
             Ray::new(eye.to_array(), (forward + offset).normalize().to_array())
         }
     }
+}
+
+/// From a pixel of this side to its neighbours to the right and below.
+fn steps([right, up, _]: [DVec3; 3], pixel: f64) -> [DVec3; 2] {
+    [right * pixel, up * -pixel]
 }
 
 #[cfg(test)]

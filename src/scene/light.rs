@@ -258,6 +258,7 @@ pub(crate) enum Emitter {
 
 impl Emitter {
     /// What arrives at `point`. A point exactly at the light receives nothing.
+    #[inline(always)]
     pub(crate) fn incidence(&self, point: DVec3) -> Incidence {
         match *self {
             Emitter::Directional(incidence) => incidence,
@@ -267,9 +268,11 @@ impl Emitter {
                 if squared == 0.0 {
                     return Incidence { toward: DVec3::ZERO, irradiance: DVec3::ZERO };
                 }
-                let scale = radius_squared.map_or(1.0, |floor| 1.0 / squared.max(floor));
                 let toward = offset / squared.sqrt();
-                let mut irradiance = intensity * scale;
+                let mut irradiance = intensity;
+                if let Some(floor) = radius_squared {
+                    irradiance *= 1.0 / squared.max(floor);
+                }
                 if let Some(cone) = cone {
                     irradiance *= cone.share(-toward);
                 }
@@ -280,6 +283,7 @@ impl Emitter {
 
     /// The ray from `origin` to the light: to infinity, or with `t` 1 at the point. A surface at the light itself
     /// counts as in its way. From an origin at the light the ray is empty, along `normal`.
+    #[inline]
     pub(crate) fn shadow_ray(&self, origin: [f64; 3], normal: DVec3) -> Ray {
         match *self {
             Emitter::Directional(incidence) => Ray::new(origin, incidence.toward.to_array()),

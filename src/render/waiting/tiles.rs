@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use glam::DVec3;
 
-use crate::render::stage::{CameraSample, Stage};
+use crate::render::stage::{PixelSample, Stage};
 use crate::render::tile_samples::{FinishedTile, TileSamples};
 use crate::render::tiles::Area;
 use crate::units::TileId;
@@ -116,8 +116,8 @@ impl Tiles {
     }
 
     /// What is known of a sample before it begins.
-    pub fn sample(&self, stage: &Stage, tile: u32, index: u64) -> CameraSample {
-        self.jobs[tile as usize].samples.sample(stage, index)
+    pub fn sample(&self, tile: u32, index: u64) -> PixelSample {
+        self.jobs[tile as usize].samples.sample(index)
     }
 
     /// Takes in a sample that is done.
@@ -127,7 +127,7 @@ impl Tiles {
         let window = self.window as u64;
         job.done[(index % window) as usize] = Some(result);
         while let Some((radiance, lost)) = job.done[(job.added % window) as usize].take() {
-            delivered.samples += u64::from(job.samples.add(job.added, radiance, lost));
+            delivered.samples += job.samples.add(job.added, &[radiance], &[lost]);
             job.added += 1;
         }
         if job.added < job.samples.round_total() {

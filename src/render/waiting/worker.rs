@@ -185,11 +185,11 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
 
     /// Traces and shades the camera rays of the samples of the batch.
     fn begin<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
-        let WaitingWorker { stage, paths, samples, tiles, batch, .. } = self;
+        let WaitingWorker { paths, samples, tiles, batch, .. } = self;
         let start = Instant::now();
         paths.begin::<E>(batch.iter().map(|place| {
             let sample = samples.get(*place);
-            tiles.sample(stage, sample.tile, sample.index)
+            tiles.sample(sample.tile, sample.index)
         }));
         for (place, ray) in batch.iter().zip(&paths.rays) {
             samples.get_mut(*place).ray = *ray;
