@@ -141,7 +141,8 @@ identical tcp
 grep "nodes joined" tcp.log
 
 echo "the same, and a worker is killed in mid-render"
-batch killed --size 1600x1200
+# Large enough that there is much left of it when the worker is found.
+batch killed --size 2400x1800 --spp 4
 for _ in {1..600}; do
     (($(stat -c %s killed.checkpoint 2>/dev/null || echo 0) < 500000)) || break
     sleep 0.05
