@@ -6,7 +6,6 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use outcrop::render::WaitingRays;
 use outcrop::transport::SharedKey;
 
 use crate::options::Options;
@@ -37,12 +36,8 @@ impl Crew {
                     "--memory",
                     &options.memory.0.to_string(),
                 ]);
-                let waiting = match options.waiting {
-                    WaitingRays::Never => "never".to_owned(),
-                    WaitingRays::Auto => "auto".to_owned(),
-                    WaitingRays::Count(rays) => rays.to_string(),
-                };
-                command.args(["--waiting", &waiting, "--loaders", &options.loaders.to_string()]);
+                command.args(["--waiting", &options.waiting.to_string()]);
+                command.args(["--loaders", &options.loaders.to_string()]);
                 if options.peers {
                     command.args(["--serve", "127.0.0.1:0"]);
                 }

@@ -166,15 +166,7 @@ impl Options {
                 "--keep" => options.keep = Some(arguments.path()?),
                 "--lanes" => options.lanes = arguments.value()?,
                 "--memory" => options.memory = arguments.value()?,
-                "--waiting" => {
-                    options.waiting = match arguments.text()?.as_str() {
-                        "auto" => WaitingRays::Auto,
-                        "never" => WaitingRays::Never,
-                        count => WaitingRays::Count(count.parse().map_err(|_| {
-                            format!("--waiting: `{count}` is not auto, never or a number of rays")
-                        })?),
-                    };
-                }
+                "--waiting" => options.waiting = arguments.value()?,
                 "--loaders" => options.loaders = arguments.value()?,
                 "--verbose" => options.verbose = true,
                 _ => return Err(arguments.unknown()),

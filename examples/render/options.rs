@@ -205,15 +205,7 @@ impl Options {
                     options.source = arguments.choice(&kinds)?;
                 }
                 "--slots" => options.slots_max = Some(arguments.value()?),
-                "--waiting" => {
-                    options.waiting = Some(match arguments.text()?.as_str() {
-                        "auto" => WaitingRays::Auto,
-                        "never" => WaitingRays::Never,
-                        count => WaitingRays::Count(count.parse().map_err(|_| {
-                            format!("--waiting: `{count}` is not auto, never or a number of rays")
-                        })?),
-                    });
-                }
+                "--waiting" => options.waiting = Some(arguments.value()?),
                 "--loaders" => options.loaders = arguments.value()?,
                 "--keep-free" => options.keep_free = Some(arguments.value()?),
                 "--policy" => {

@@ -90,7 +90,7 @@ pub use renderer::{RenderedImage, Renderer};
 pub use report::{Outcome, RenderReport, WaitingReport, WorkerSeconds};
 pub use sampling::Filter;
 pub(crate) use sampling::mix;
-pub use settings::{PathEnd, RenderSettings, WaitingRays};
+pub use settings::{ParseWaitingRaysError, PathEnd, RenderSettings, WaitingRays};
 pub(crate) use tiles::TileGrid;
 pub(crate) use workers::worker_count;
 

@@ -1,5 +1,8 @@
 //! What a caller chooses about a picture beside the scene.
 
+use std::fmt::{self, Display};
+use std::str::FromStr;
+
 use serde::{Deserialize, Serialize};
 
 use super::adaptive::AdaptiveSampling;
@@ -42,6 +45,40 @@ pub enum WaitingRays {
     Auto,
     /// So many may wait, all threads together; at least 1.
     Count(u32),
+}
+
+/// Why a text does not say which rays wait.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{text}` is not auto, never or a number of rays")]
+pub struct ParseWaitingRaysError {
+    text: String,
+}
+
+impl FromStr for WaitingRays {
+    type Err = ParseWaitingRaysError;
+
+    /// Reads `auto`, `never` or a number of rays.
+    fn from_str(text: &str) -> Result<WaitingRays, ParseWaitingRaysError> {
+        match text {
+            "auto" => Ok(WaitingRays::Auto),
+            "never" => Ok(WaitingRays::Never),
+            count => count
+                .parse()
+                .map(WaitingRays::Count)
+                .map_err(|_| ParseWaitingRaysError { text: text.to_string() }),
+        }
+    }
+}
+
+impl Display for WaitingRays {
+    /// What is read as the same.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            WaitingRays::Auto => f.write_str("auto"),
+            WaitingRays::Never => f.write_str("never"),
+            WaitingRays::Count(rays) => rays.fmt(f),
+        }
+    }
 }
 
 /// Size, quality and limits of a picture. The picture is a pure function of scene, model and the fields above
@@ -190,5 +227,22 @@ impl RenderSettings {
 
     pub(crate) fn grid(&self) -> TileGrid {
         TileGrid { width: self.width, height: self.height, tile_size: self.tile_size }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waiting_rays_are_read_as_they_are_written() {
+        for waiting in
+            [WaitingRays::Auto, WaitingRays::Never, WaitingRays::Count(0), WaitingRays::Count(4096)]
+        {
+            assert_eq!(waiting.to_string().parse(), Ok(waiting));
+        }
+        for text in ["", "Auto", "-1", "4294967296", "12 rays"] {
+            assert!(text.parse::<WaitingRays>().is_err(), "{text}");
+        }
     }
 }
