@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::counters::EffectCounters;
 use super::film::Film;
-use super::geometry::{Geometry, Surfaces};
+use super::geometry::Surfaces;
 use super::paths;
 use super::query::SceneTracer;
 use super::renderer::{Renderer, loader_options, set, waiting_bytes};
@@ -232,14 +232,8 @@ impl<'r> Regions<'r> {
 impl<'r> WaitingLane<'r> {
     fn new_worker(&self) -> Result<WaitingWorker<'r, 'r, Flag<'r>>, TraceError> {
         let Waiting { octree, plan, loader } = &self.waiting;
-        let stage = &self.renderer.stage;
-        let options = plan.pool_options(stage);
-        let pool = match loader {
-            Some(loader) => loader.ray_pool(options)?,
-            None => octree.ray_pool(options)?,
-        };
-        let query = Geometry::pool_query(pool, &self.renderer.attributes);
-        Ok(WaitingWorker::new(Flag(self.stop), stage, plan, query))
+        let query = self.renderer.pool_query(octree, plan, loader.as_ref())?;
+        Ok(WaitingWorker::new(Flag(self.stop), &self.renderer.stage, plan, query))
     }
 
     fn counters(&self) -> RegionCounters {

@@ -12,7 +12,7 @@ use super::report::{Outcome, RenderReport, WaitingReport};
 use super::resample::{self, Resampled, SampledPixel};
 use super::settings::{RenderSettings, WaitingRays};
 use super::stage::Stage;
-use super::waiting::{Extent, WaitingPlan};
+use super::waiting::{Extent, PoolQuery, WaitingPlan};
 use super::workers::{self, ProgressFn, Thresholds, Totals};
 use super::{Progress, paths};
 use crate::attributes::AttributeCache;
@@ -52,12 +52,12 @@ impl RenderedImage {
 
 /// Renders pictures of one scene through one octree.
 pub struct Renderer<'a> {
-    pub(super) geometry: Geometry<'a>,
+    geometry: Geometry<'a>,
     pub(super) stage: Stage,
     plan: EffectPlan,
     pub(super) budget: MemoryBudget,
     /// One for each model that has attributes; none at all if the picture needs none.
-    pub(super) attributes: Vec<Option<AttributeCache>>,
+    attributes: Vec<Option<AttributeCache>>,
 }
 
 impl<'a> Renderer<'a> {
@@ -282,6 +282,21 @@ impl<'a> Renderer<'a> {
         Some((octree, plan))
     }
 
+    /// A query whose rays wait in a pool of its own; `loader` loads for it, if there is one.
+    pub(super) fn pool_query<'o>(
+        &'o self,
+        octree: &'o LazyOctree,
+        plan: &WaitingPlan,
+        loader: Option<&BlockLoader<'o>>,
+    ) -> Result<PoolQuery<'o>, TraceError> {
+        let options = plan.pool_options(&self.stage);
+        let pool = match loader {
+            Some(loader) => loader.ray_pool(options)?,
+            None => octree.ray_pool(options)?,
+        };
+        Ok(Geometry::pool_query(pool, &self.attributes))
+    }
+
     /// [`picture`] with rays that wait for blocks.
     fn picture_waiting<'o>(
         &'o self,
@@ -297,17 +312,10 @@ impl<'a> Renderer<'a> {
         let scratch = plan.bytes(stage).saturating_mul(workers as u64) + stage_bytes(stage);
         let film = Film::bytes_needed(&stage.grid, Kept::by(&stage.settings));
         let memory = Bytes(film.0 + waiting_bytes(stage, octree.model(), plan, workers).0);
-        let options = plan.pool_options(stage);
         let mut loader_threads = stage.settings.loader_threads;
         let mut draw = |loader: Option<&BlockLoader<'o>>| {
             picture_by(stage, &self.budget, Bytes(scratch), memory, &mut |film, order| {
-                let make_query = || {
-                    let pool = match loader {
-                        Some(loader) => loader.ray_pool(options.clone())?,
-                        None => octree.ray_pool(options.clone())?,
-                    };
-                    Ok(Geometry::pool_query(pool, &self.attributes))
-                };
+                let make_query = || self.pool_query(octree, plan, loader);
                 workers::run_waiting(stage, plan, order, film, threads, &make_query, thresholds, progress)
             })
         };
