@@ -19,7 +19,7 @@ fuzz_target!(|input: &[u8]| {
             // The input is the bodies of records: a length of one byte, then a body.
             let Ok(folder) = tempfile::tempdir() else { return };
             let path = folder.path().join("fuzz.checkpoint");
-            if drop_open(&path).is_none() {
+            if records(&path).is_none() {
                 return;
             }
             let Ok(mut file) = fs::read(&path) else { return };
@@ -36,8 +36,8 @@ fuzz_target!(|input: &[u8]| {
                 return;
             }
             // What was read once is there unchanged when it is opened again.
-            let first = drop_open(&path);
-            assert_eq!(first, drop_open(&path));
+            let first = records(&path);
+            assert_eq!(first, records(&path));
         }
         1 => {
             // As it is, and with a checksum that is right.
@@ -58,6 +58,6 @@ fuzz_target!(|input: &[u8]| {
 });
 
 /// What the checkpoint at `path` holds.
-fn drop_open(path: &std::path::Path) -> Option<Vec<Record>> {
+fn records(path: &std::path::Path) -> Option<Vec<Record>> {
     Checkpoint::open(path, DIGEST).ok().map(|(_, records)| records)
 }

@@ -15,7 +15,7 @@ fuzz_target!(|input: &[u8]| {
     let [sealed, file @ ..] = input else { return };
     let mut file = file.to_vec();
     if sealed % 4 != 0 && file.len() >= HEADER_BYTES {
-        seal(&mut file, &SECTIONS);
+        seal(&mut file, HEADER_BYTES, &SECTIONS);
     }
     let Ok(source) = MemorySource::new(file) else { return };
     let model = source.model();

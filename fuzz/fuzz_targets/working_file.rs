@@ -33,7 +33,7 @@ fn seal_all(file: &mut [u8]) {
     let records = offset..offset.saturating_add(bytes).min(file.len());
     let file_bytes = file.len();
     records.step_by(96).filter(|at| at + 96 <= file_bytes).for_each(|at| seal_part(file, at));
-    seal(file, &SECTIONS);
+    seal(file, HEADER_BYTES, &SECTIONS);
 }
 
 fuzz_target!(|input: &[u8]| {

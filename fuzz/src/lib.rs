@@ -25,11 +25,11 @@ pub fn seal_part(file: &mut [u8], at: usize) {
     }
 }
 
-/// Makes the checksums of the parts that the header names at `sections` right, and the header's own.
-pub fn seal(file: &mut [u8], sections: &[usize]) {
+/// Makes the checksums of the parts that a header of so many bytes names at `sections` right, and the header's own, which is its end.
+pub fn seal(file: &mut [u8], header_bytes: usize, sections: &[usize]) {
     sections.iter().for_each(|section| seal_part(file, *section));
-    let sum = checksum(&file[..HEADER_BYTES - 8]);
-    file[HEADER_BYTES - 8..HEADER_BYTES].copy_from_slice(&sum.to_le_bytes());
+    let sum = checksum(&file[..header_bytes - 8]);
+    file[header_bytes - 8..header_bytes].copy_from_slice(&sum.to_le_bytes());
 }
 
 /// Whatever is read must be an error or a mesh of the size that is reported.
