@@ -10,6 +10,7 @@
 //! valgrind --tool=callgrind --toggle-collect='*measured*' PROGRAM --compiled bricks.outcrop small
 //! ```
 //!
+//! `--beyond chrome | glass | rough | smooth` puts a sheet of another kind behind the camera, where no ray comes: it should cost nothing (I6).
 //! `--wheels N` and `--size N` choose the model (gears of 27,456 N^3 triangles, all of one matt material; a file that is there already is
 //! taken as it is) and the picture. All blocks are in memory before anything is measured.
 
@@ -24,12 +25,12 @@ use glam::DVec3;
 use outcrop::compile::{CompileOptions, Control, Threads};
 use outcrop::error::CompileError;
 use outcrop::geom::{Ray, offset_origin};
-use outcrop::import::{MeshBuffer, MeshSink, VertexBatch};
+use outcrop::import::{CornerIndices, MeshBuffer, MeshSink, VertexBatch};
 use outcrop::model::MaterialRecord;
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Gears, Shape};
 use outcrop::render::{RenderSettings, Renderer};
-use outcrop::scene::{Camera, Light, Scene, Surface};
+use outcrop::scene::{Camera, Finish, Light, Scene, Surface};
 use outcrop::source::MemorySource;
 use outcrop::trace::{Hit, Occlusion};
 use outcrop::units::Bytes;
@@ -40,16 +41,71 @@ const BACKGROUND: [f32; 3] = [0.078, 0.361, 0.753];
 const AMBIENT: [f32; 3] = [0.0625, 0.0625, 0.125];
 const TILE: u32 = 32;
 
-/// The gears, every one of matt bricks.
-struct Bricks(Gears);
+/// What stands behind the camera.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Beyond {
+    Chrome,
+    Glass,
+    RoughChrome,
+    /// Of bricks, whose corners have normals.
+    Smooth,
+}
+
+impl Beyond {
+    fn parse(name: &str) -> Option<Beyond> {
+        Some(match name {
+            "chrome" => Beyond::Chrome,
+            "glass" => Beyond::Glass,
+            "rough" => Beyond::RoughChrome,
+            "smooth" => Beyond::Smooth,
+            _ => return None,
+        })
+    }
+
+    fn material(self) -> MaterialRecord {
+        let plain = MaterialRecord { name: "sheet".into(), diffuse: DIFFUSE, ..MaterialRecord::default() };
+        match self {
+            Beyond::Chrome | Beyond::RoughChrome => {
+                MaterialRecord { specular: [0.5; 3], mirror: true, ..plain }
+            }
+            Beyond::Glass => MaterialRecord { opacity: 0.2, refractive_index: 1.5, ..plain },
+            Beyond::Smooth => plain,
+        }
+    }
+
+    /// Cells of the sheet along its sides: as many triangles as two pages of attributes hold.
+    const CELLS: [u32; 2] = [64, 32];
+
+    fn vertices() -> Vec<[f64; 3]> {
+        let [columns, rows] = Beyond::CELLS;
+        let place = |cell: u32, of: u32| f64::from(cell) / f64::from(of) - 0.5;
+        let vertex =
+            |x, y| [4.0 * Gears::EYE[0] + place(x, columns), 4.0 * Gears::EYE[1] + place(y, rows), 12.0];
+        (0..=rows).flat_map(|y| (0..=columns).map(move |x| vertex(x, y))).collect()
+    }
+
+    fn triangles() -> Vec<[u32; 3]> {
+        let [columns, rows] = Beyond::CELLS;
+        let corner = |x, y| y * (columns + 1) + x;
+        let cells = (0..rows).flat_map(|y| (0..columns).map(move |x| [x, y]));
+        let halves = cells.flat_map(|[x, y]| {
+            let [a, b, c, d] = [corner(x, y), corner(x + 1, y), corner(x + 1, y + 1), corner(x, y + 1)];
+            [[a, b, c], [a, c, d]]
+        });
+        halves.collect()
+    }
+}
+
+/// The gears, every one of matt bricks, and what stands behind the camera.
+struct Bricks(Gears, Option<Beyond>);
 
 impl Shape for Bricks {
     fn vertex_count(&self) -> u64 {
-        self.0.vertex_count()
+        self.0.vertex_count() + self.1.map_or(0, |_| Beyond::vertices().len() as u64)
     }
 
     fn triangle_count(&self) -> u64 {
-        self.0.triangle_count()
+        self.0.triangle_count() + self.1.map_or(0, |_| Beyond::triangles().len() as u64)
     }
 
     fn is_double(&self) -> bool {
@@ -62,7 +118,25 @@ impl Shape for Bricks {
         let bricks = MaterialRecord { name: "bricks".into(), diffuse: DIFFUSE, ..MaterialRecord::default() };
         let bricks = sink.material(bricks)?;
         sink.vertices(VertexBatch::Float64(&mesh.vertices))?;
+        let Some(beyond) = self.1 else {
+            sink.vertices_complete()?;
+            return sink.triangles(&mesh.triangles, bricks);
+        };
+        // First, so that it has pages of attributes for itself.
+        let sheet = sink.material(beyond.material())?;
+        let first = mesh.vertices.len() as u32;
+        sink.vertices(VertexBatch::Float64(&Beyond::vertices()))?;
         sink.vertices_complete()?;
+        let triangles: Vec<_> =
+            Beyond::triangles().into_iter().map(|corners| corners.map(|corner| first + corner)).collect();
+        if beyond == Beyond::Smooth {
+            sink.normals(&[[0.0, 0.6, 0.8]])?;
+            let normals = vec![[0; 3]; triangles.len()];
+            let corners = CornerIndices { uvs: None, normals: Some(&normals) };
+            sink.triangles_with_attributes(&triangles, corners, sheet)?;
+        } else {
+            sink.triangles(&triangles, sheet)?;
+        }
         sink.triangles(&mesh.triangles, bricks)
     }
 }
@@ -202,7 +276,7 @@ fn every_other_bit(code: u32) -> u32 {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (mut which, mut wheels, mut size, mut path) = (None, 1, 256, None);
+    let (mut which, mut wheels, mut size, mut path, mut beyond) = (None, 1, 256, None, None);
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         let mut number =
@@ -213,16 +287,20 @@ fn main() -> Result<(), Box<dyn Error>> {
             "--wheels" => wheels = number()?,
             "--size" => size = number()?,
             "--compiled" => path = Some(arguments.next().ok_or("a path is missing")?),
+            "--beyond" => {
+                let name = arguments.next().ok_or("what stands behind the camera is missing")?;
+                beyond = Some(Beyond::parse(&name).ok_or("known are chrome, glass, rough, smooth")?);
+            }
             "full" | "small" => which = Some(argument),
             other => {
-                let known = "full, small, --wheels N, --size N, --compiled PATH";
+                let known = "full, small, --wheels N, --size N, --beyond KIND, --compiled PATH";
                 return Err(format!("{other}: known are {known}").into());
             }
         }
     }
     let file = match &path {
         Some(path) if std::fs::exists(path)? => std::fs::read(path)?,
-        _ => compiled(&Bricks(Gears::new(wheels)?), &CompileOptions::default()),
+        _ => compiled(&Bricks(Gears::new(wheels)?, beyond), &CompileOptions::default()),
     };
     if let Some(path) = path {
         std::fs::write(path, &file)?;
@@ -233,10 +311,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = OctreeOptions { slots_max: Some(blocks), ..OctreeOptions::default() };
     let octree = LazyOctree::open(source, &budget, options)?;
     let camera = Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], 45.0)?;
-    let scene = Scene::new(camera)
+    let mut scene = Scene::new(camera)
         .with_background(BACKGROUND)
         .with_ambient(AMBIENT)
         .with_lights(Gears::LAMPS[..2].iter().map(|position| Light::point(*position, [0.75, 0.5, 0.625])));
+
+    if beyond == Some(Beyond::RoughChrome) {
+        scene = scene.with_finish("sheet", Finish::rough(0.4));
+    }
 
     let general = || full(&octree, &scene, size, &budget);
     let special = || small(&octree, &scene, size);

@@ -105,6 +105,11 @@ pub struct AttributeReader<'c> {
 }
 
 impl AttributeReader<'_> {
+    /// Whether the corners of `triangle` may have normals, as far as the directory tells; reads nothing.
+    pub fn may_have_normals(&self, triangle: TriangleId) -> bool {
+        self.cache.model().attributes.may_have_normals(triangle)
+    }
+
     /// The attributes of the corners of `triangle`: none if it has none, or is none of the model's.
     ///
     /// # Errors

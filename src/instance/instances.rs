@@ -266,6 +266,11 @@ impl Instances {
         }
     }
 
+    /// Which model an instance shows.
+    pub(crate) fn model_of(&self, instance: u32) -> Option<u32> {
+        self.instances.get(instance as usize).map(|instance| instance.model)
+    }
+
     /// Models that at least one instance shows.
     pub(crate) fn shown_models(&self) -> impl Iterator<Item = (u32, &Arc<Model>)> {
         let mut is_shown = vec![false; self.octrees.len()];

@@ -60,6 +60,12 @@ impl AttributePages {
         (entry.stored_bytes > 0).then(|| (page as u32, (triangle.0 % PAGE_TRIANGLES as u64) as usize))
     }
 
+    /// Whether the corners of `triangle` may have normals: some triangle of its page has.
+    pub fn may_have_normals(&self, triangle: TriangleId) -> bool {
+        let page = usize::try_from(triangle.0 / PAGE_TRIANGLES as u64).ok();
+        page.and_then(|page| self.entries.get(page)).is_some_and(|entry| entry.normal_count > 0)
+    }
+
     /// What the directory promises about a page that holds something.
     pub fn check(&self, page: u32) -> Option<PageCheck> {
         let entry = self.entries.get(page as usize).filter(|entry| entry.stored_bytes > 0)?;

@@ -10,44 +10,49 @@ use super::query::RayQuery;
 use super::stage::{CameraSample, PixelSample};
 
 impl<Q: RayQuery> PathTracer<'_, Q> {
-    /// Makes the camera rays of these samples the heads.
-    pub(super) fn begin<E: EffectsOfLoop>(&mut self, samples: impl Iterator<Item = PixelSample>) {
+    /// Makes the camera rays of these samples the rays that are traced next. What they hit decides which loop they
+    /// [enter](PathTracer::enter).
+    pub(super) fn begin(&mut self, samples: impl Iterator<Item = PixelSample>) {
         self.heads.clear();
         self.rays.clear();
         self.walks.clear();
         self.radiance.clear();
         self.lost.clear();
         self.times.clear();
-        if !E::SECONDARY && self.stage.has_middle_rays() {
-            // A ray is all that a sample begins with.
-            let stage = self.stage;
+        let stage = self.stage;
+        if stage.has_middle_rays() {
             self.rays.extend(samples.map(|PixelSample { x, y, .. }| stage.middle_ray(x, y)));
-            self.count_samples();
-            return;
-        }
-        let work = self.stage.settings.work_budget;
-        for (slot, sample) in samples.enumerate() {
-            let CameraSample { key, ray, time } = self.stage.pixel_sample(sample);
-            if self.stage.are_moving {
-                self.times.push(time);
-            }
-            self.rays.push(ray);
-            if E::SECONDARY {
-                self.heads.push(Head { slot: slot as u32, work, throughput: DVec3::ONE });
-            }
-            if E::SAMPLED {
-                let mut walk = Walk::start(key);
-                if E::DETAILED {
-                    let [width, spread] = self.stage.view.footprint();
-                    walk.cone = Cone { width, spread };
+        } else {
+            for sample in samples {
+                let CameraSample { ray, time } = stage.pixel_sample(sample);
+                if stage.are_moving {
+                    self.times.push(time);
                 }
-                self.walks.push(walk);
-                // A lens of radius 0 and a camera at rest see what the camera sees.
-                let forced = [self.stage.force_lens, self.stage.force_shutter];
-                self.forced.extend(forced.into_iter().filter(|forced| *forced).map(|_| ray));
+                self.rays.push(ray);
             }
         }
         self.count_samples();
+    }
+
+    /// Gives the samples of the last [`PathTracer::begin`] what the loop keeps beside their rays.
+    pub(super) fn enter<E: EffectsOfLoop>(&mut self, samples: impl Iterator<Item = PixelSample>) {
+        let stage = self.stage;
+        if E::SECONDARY {
+            let work = stage.settings.work_budget;
+            let slots = 0..self.rays.len() as u32;
+            self.heads.extend(slots.map(|slot| Head { slot, work, throughput: DVec3::ONE }));
+        }
+        if E::SAMPLED {
+            let [width, spread] = stage.view.footprint();
+            let cone = Cone { width, spread };
+            self.walks.extend(samples.map(|sample| Walk { cone, ..Walk::start(stage.key(sample)) }));
+            // A lens of radius 0 and a camera at rest see what the camera sees.
+            for forced in [stage.force_lens, stage.force_shutter] {
+                if forced {
+                    self.forced.extend_from_slice(&self.rays);
+                }
+            }
+        }
     }
 
     /// Books the camera rays, and makes each sample a place for its light.

@@ -172,23 +172,51 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
     ///
     /// # Errors
     /// Those of the query; nothing that was computed is to be used then.
-    pub fn trace(&mut self, samples: impl Iterator<Item = PixelSample>) -> Result<(), TraceError> {
+    pub fn trace(&mut self, samples: impl Iterator<Item = PixelSample> + Clone) -> Result<(), TraceError> {
+        self.begin(samples.clone());
+        let start = Instant::now();
+        self.find_hits()?;
         // Decided once per batch; inside, what a loop does not know is not there (I6).
-        match self.stage.path_loop {
-            Loop::Matt => self.trace_in::<Matt>(samples),
-            Loop::Whitted => self.trace_in::<Whitted>(samples),
-            Loop::Sampled => self.trace_in::<Sampled>(samples),
-            Loop::Detailed => self.trace_in::<Detailed>(samples),
+        match self.loop_of_samples() {
+            Loop::Matt => self.trace_in::<Matt>(samples, start),
+            Loop::Whitted => self.trace_in::<Whitted>(samples, start),
+            Loop::Sampled | Loop::Detailed => self.trace_in::<Sampled>(samples, start),
         }
     }
 
+    /// The loop for samples whose camera rays have found these hits: where rays go on from one, it must serve whatever they meet.
+    pub(super) fn loop_of_samples(&self) -> Loop {
+        match self.loop_of_hits() {
+            Loop::Matt => Loop::Matt,
+            _ => self.stage.path_loop,
+        }
+    }
+
+    /// The loop for what the rays have hit.
+    fn loop_of_hits(&self) -> Loop {
+        self.stage
+            .loop_of_hits(&self.hits[..self.rays.len()], |triangle| self.query.may_have_normals(triangle))
+    }
+
+    /// Traces samples to their end, whose camera rays were traced from `start` on.
     fn trace_in<E: EffectsOfLoop>(
         &mut self,
         samples: impl Iterator<Item = PixelSample>,
+        mut start: Instant,
     ) -> Result<(), TraceError> {
-        self.begin::<E>(samples);
-        while !self.rays.is_empty() {
-            self.step::<E>()?;
+        self.enter::<E>(samples);
+        loop {
+            self.go_on::<E>(start)?;
+            std::mem::swap(&mut self.heads, &mut self.next_heads);
+            std::mem::swap(&mut self.rays, &mut self.next_rays);
+            if E::SAMPLED {
+                std::mem::swap(&mut self.walks, &mut self.next_walks);
+            }
+            if self.rays.is_empty() {
+                break;
+            }
+            start = Instant::now();
+            self.find_hits()?;
         }
         self.counters.add_details(&std::mem::take(&mut self.query.counters));
         for (lost, by_shadows) in self.lost.iter_mut().zip(&self.lost_by_shadows) {
@@ -208,28 +236,19 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         &self.lost
     }
 
-    /// Traces the head of every live sample, shades what was hit and moves each sample to the next ray of its tree.
-    fn step<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
-        let start = Instant::now();
+    /// Traces the head of every live sample; camera rays have none yet, and are those of their samples.
+    fn find_hits(&mut self) -> Result<(), TraceError> {
         if self.stage.are_moving {
             self.ray_times.clear();
-            if E::SECONDARY {
-                self.ray_times.extend(self.heads.iter().map(|head| self.times[head.slot as usize]));
-            } else {
-                // Each ray is its sample's first.
+            if self.heads.is_empty() {
                 self.ray_times.extend_from_slice(&self.times);
+            } else {
+                self.ray_times.extend(self.heads.iter().map(|head| self.times[head.slot as usize]));
             }
             self.query.at_times(&mut self.ray_times.iter().copied());
         }
         let hits = &mut self.hits[..self.rays.len()];
-        self.query.closest_hits(&self.rays, hits)?;
-        self.go_on::<E>(start)?;
-        std::mem::swap(&mut self.heads, &mut self.next_heads);
-        std::mem::swap(&mut self.rays, &mut self.next_rays);
-        if E::SAMPLED {
-            std::mem::swap(&mut self.walks, &mut self.next_walks);
-        }
-        Ok(())
+        self.query.closest_hits(&self.rays, hits)
     }
 
     /// Shades what the heads, which were traced from `start` on, hit, and finds the next ray of each sample's tree.
@@ -237,6 +256,16 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         if E::SAMPLED && (self.stage.nested || self.stage.force_nested) {
             self.find_borders()?;
         }
+        // Only how hits are shaded differs, so that each step may decide for itself.
+        if E::SAMPLED && self.loop_of_hits() == Loop::Detailed {
+            self.go_on_shading::<Detailed>(start)
+        } else {
+            self.go_on_shading::<E>(start)
+        }
+    }
+
+    /// [`PathTracer::go_on`] where the borders of media are known.
+    fn go_on_shading<E: EffectsOfLoop>(&mut self, start: Instant) -> Result<(), TraceError> {
         let traced = Instant::now();
         self.seconds.paths += (traced - start).as_secs_f64();
         self.shade::<E>()?;

@@ -41,6 +41,9 @@ pub(crate) trait RayQuery {
     /// The attributes of a triangle's corners.
     fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError>;
 
+    /// Whether the corners of a triangle may have normals, as far as directories tell: nothing is read for it.
+    fn may_have_normals(&self, triangle: TriangleId) -> bool;
+
     /// What was done so far.
     fn counters(&self) -> TraceCounters;
 }
@@ -123,6 +126,20 @@ impl RayQuery for SceneTracer<'_> {
         }
     }
 
+    fn may_have_normals(&self, triangle: TriangleId) -> bool {
+        match self {
+            SceneTracer::Model { attributes, .. } => {
+                attributes.as_ref().is_some_and(|reader| reader.may_have_normals(triangle))
+            }
+            SceneTracer::Instances { instances, attributes, .. } => {
+                let InstanceTriangle { instance, triangle } = InstanceTriangle::of(triangle);
+                // Which model it shows does not depend on the time.
+                let reader = instances.model_of(instance).and_then(|model| attributes.get(model as usize));
+                reader.is_some_and(|reader| reader.as_ref().is_some_and(|r| r.may_have_normals(triangle)))
+            }
+        }
+    }
+
     fn counters(&self) -> TraceCounters {
         match self {
             SceneTracer::Model { tracer, .. } => tracer.counters(),
@@ -164,6 +181,10 @@ impl<Q: RayQuery> RayQuery for &mut Q {
 
     fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {
         (**self).corner_attributes(triangle)
+    }
+
+    fn may_have_normals(&self, triangle: TriangleId) -> bool {
+        (**self).may_have_normals(triangle)
     }
 
     fn counters(&self) -> TraceCounters {

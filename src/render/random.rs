@@ -76,9 +76,6 @@ pub(crate) struct SampleKey {
 }
 
 impl SampleKey {
-    /// Of samples that draw no numbers.
-    pub const NONE: SampleKey = SampleKey { pixel: 0, sample: 0 };
-
     pub fn new(seed: u64, pixel: u64, sample: u32) -> SampleKey {
         let seed = mix(seed ^ 0x5851_f42d_4c95_7f2d);
         SampleKey { pixel: mix(seed ^ pixel.wrapping_mul(0xd134_2543_de82_ef95)), sample }

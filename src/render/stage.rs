@@ -16,8 +16,8 @@ use crate::scene::{
     AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Scene, Surface, View,
 };
 use crate::texture::TextureCache;
-use crate::trace::MaterialSet;
-use crate::units::MaterialId;
+use crate::trace::{Hit, MaterialSet};
+use crate::units::{MaterialId, TriangleId};
 
 /// A [`Surface`] as vectors.
 #[derive(Clone, Copy, Debug)]
@@ -122,14 +122,13 @@ pub(crate) struct PixelSample {
 /// A sample's way into the scene.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CameraSample {
-    pub key: SampleKey,
     pub ray: Ray,
     /// From 0, when the shutter opens, to 1.
     pub time: f64,
 }
 
-/// Which compiled form of the path loop a picture takes; see [`super::hot`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The compiled forms of the path loop, each of which knows all that those before it know; see [`super::hot`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Loop {
     /// No ray goes on from a hit.
     Matt,
@@ -162,7 +161,10 @@ pub(crate) struct Stage {
     /// Those of them that do not bend light.
     pub straight: Option<MaterialSet>,
     bound: RadianceBound,
+    /// The form that serves all surfaces that there are.
     pub path_loop: Loop,
+    /// The form that the scene asks for whatever rays meet.
+    pub least_loop: Loop,
     pub direct: bool,
     pub shadows: bool,
     pub reflection: bool,
@@ -263,6 +265,7 @@ impl Stage {
             transparent: materials_that(&|surface| surface.is_transparent()),
             straight: materials_that(&|surface| surface.is_transparent() && !surface.refracts()),
             path_loop: Loop::Sampled,
+            least_loop: Loop::Sampled,
             direct: plan.has(Effect::DirectLight) || plan.forces(Effect::DirectLight) || force_shadows,
             shadows: plan.has(Effect::Shadows),
             reflection: plan.has(Effect::Reflection),
@@ -291,28 +294,75 @@ impl Stage {
             textures: None,
         };
         stage.cut_outs = cut_outs(&stage.maps, stage.transparent.as_ref());
-        stage.path_loop = stage.choose_loop();
+        stage.least_loop = stage.loop_of_scene();
+        let of_materials =
+            (0..=u16::MAX).zip(&surfaces).map(|(id, _)| stage.loop_of_material(MaterialId(id)));
+        stage.path_loop = of_materials.fold(stage.least_loop, Loop::max);
         stage
     }
 
-    fn choose_loop(&self) -> Loop {
+    /// The form that is asked for by something else than a surface.
+    fn loop_of_scene(&self) -> Loop {
         let is_sampled = !self.areas.is_empty()
             || self.environment.is_some()
             || self.surroundings.is_some()
             || self.interreflection
             || self.nested
             || self.roulette
-            || self.forces_a_sampled_effect()
-            || self.has_rough;
-        if self.smooth || self.force_details || self.maps.iter().any(MaterialMaps::are_seen) {
+            || self.forces_a_sampled_effect();
+        if self.force_details {
             Loop::Detailed
         } else if is_sampled {
             Loop::Sampled
-        } else if self.reflection || self.transmission || self.force_reflection || self.force_transmission {
+        } else if self.force_reflection || self.force_transmission {
             Loop::Whitted
         } else {
             Loop::Matt
         }
+    }
+
+    /// The form that hits on a material ask for, on triangles whose corners have normals.
+    fn loop_of_material(&self, material: MaterialId) -> Loop {
+        let shader = self.shader(material);
+        if self.is_smooth(shader) { Loop::Detailed } else { self.loop_of_flat(material, shader) }
+    }
+
+    /// The form that hits on a material ask for, on triangles whose corners have no normals.
+    fn loop_of_flat(&self, material: MaterialId, shader: &Shader) -> Loop {
+        if self.maps(material).are_seen() {
+            Loop::Detailed
+        } else if shader.alpha > 0.0 {
+            Loop::Sampled
+        } else if shader.mirror != DVec3::ZERO || shader.transmission > 0.0 {
+            Loop::Whitted
+        } else {
+            Loop::Matt
+        }
+    }
+
+    /// Whether normals of corners show on a material.
+    pub fn is_smooth(&self, shader: &Shader) -> bool {
+        self.smooth && shader.depends_on_normal
+    }
+
+    /// The form that these hits ask for, where `may_have_normals` knows what the directory says of their triangle's corners: an effect of a surface that
+    /// nothing meets costs nothing (I6).
+    pub fn loop_of_hits(&self, hits: &[Option<Hit>], may_have_normals: impl Fn(TriangleId) -> bool) -> Loop {
+        let mut found = self.least_loop;
+        if found == self.path_loop {
+            return found;
+        }
+        for hit in hits.iter().flatten() {
+            let shader = self.shader(hit.material);
+            found = found.max(self.loop_of_flat(hit.material, shader));
+            if found < self.path_loop && self.is_smooth(shader) && may_have_normals(hit.triangle) {
+                found = Loop::Detailed;
+            }
+            if found == self.path_loop {
+                break;
+            }
+        }
+        found
     }
 
     /// Whether forced effects trace rays that need the sampled loop.
@@ -331,12 +381,8 @@ impl Stage {
     #[inline(always)]
     pub fn camera_sample(&self, pixel: u64, sample: u32, x: f64, y: f64) -> CameraSample {
         if !(self.view.has_lens() || self.draws_time()) {
-            // Loops without luck draw no numbers, and need no key for them (I6).
-            let key = match self.path_loop {
-                Loop::Matt | Loop::Whitted => SampleKey::NONE,
-                Loop::Sampled | Loop::Detailed => SampleKey::new(self.settings.seed, pixel, sample),
-            };
-            return CameraSample { key, ray: self.view.ray(x, y), time: 0.0 };
+            // Without luck it draws no numbers, and needs no key for them (I6).
+            return CameraSample { ray: self.view.ray(x, y), time: 0.0 };
         }
         self.lucky_camera_sample(pixel, sample, x, y)
     }
@@ -347,7 +393,7 @@ impl Stage {
         let key = SampleKey::new(self.settings.seed, pixel, sample);
         let lens = if has_lens { key.pair(VertexId::CAMERA, Dimension::Lens) } else { [0.5; 2] };
         let time = if is_moving { key.one(VertexId::CAMERA, Dimension::Shutter) } else { 0.0 };
-        CameraSample { key, ray: self.view.sampled_ray(x, y, lens, time), time }
+        CameraSample { ray: self.view.sampled_ray(x, y, lens, time), time }
     }
 
     /// Whether each sample has a time of its own.
@@ -397,9 +443,18 @@ impl Stage {
     #[inline(always)]
     pub fn pixel_sample(&self, PixelSample { x, y, number }: PixelSample) -> CameraSample {
         let settings = &self.settings;
-        let pixel = u64::from(y) * u64::from(settings.width) + u64::from(x);
+        let pixel = self.pixel_number(x, y);
         let offset = pixel_offset(settings.seed, pixel, number, settings.samples_per_pixel, settings.filter);
         self.camera_sample(pixel, number, f64::from(x) + offset[0], f64::from(y) + offset[1])
+    }
+
+    /// What names the random numbers of a sample.
+    pub fn key(&self, PixelSample { x, y, number }: PixelSample) -> SampleKey {
+        SampleKey::new(self.settings.seed, self.pixel_number(x, y), number)
+    }
+
+    fn pixel_number(&self, x: u32, y: u32) -> u64 {
+        u64::from(y) * u64::from(self.settings.width) + u64::from(x)
     }
 
     /// Whether all camera rays run through the middle of their pixel, at the same time, from the same point: then they are what

@@ -101,7 +101,7 @@ impl TileSamples {
 
     /// Some samples of this round, in their order.
     #[inline]
-    pub fn samples(&self, range: Range<u64>) -> impl Iterator<Item = PixelSample> {
+    pub fn samples(&self, range: Range<u64>) -> impl Iterator<Item = PixelSample> + Clone {
         let [mut place, skipped] = self.place_of(range.start);
         let corner = [self.place.ground.x, self.place.ground.y];
         // Below `samples_per_pixel`, a u32.

@@ -83,7 +83,7 @@ impl Detail {
             query.corner_attributes(hit.triangle)?;
         }
         let maps = stage.maps(hit.material);
-        let is_smooth = stage.smooth && shader.depends_on_normal;
+        let is_smooth = stage.is_smooth(shader) && query.may_have_normals(hit.triangle);
         if !(is_smooth || maps.are_seen()) {
             return Ok(detail);
         }

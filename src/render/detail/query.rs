@@ -252,6 +252,10 @@ impl<Q: RayQuery> RayQuery for SurfaceQuery<'_, Q> {
         self.geometry.corner_attributes(triangle)
     }
 
+    fn may_have_normals(&self, triangle: TriangleId) -> bool {
+        self.geometry.may_have_normals(triangle)
+    }
+
     fn counters(&self) -> TraceCounters {
         self.geometry.counters()
     }

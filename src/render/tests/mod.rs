@@ -13,6 +13,7 @@ mod octree;
 mod resample;
 mod shading;
 mod trees;
+mod unmet;
 
 use std::sync::Arc;
 
@@ -23,7 +24,7 @@ use super::settings::RenderSettings;
 use super::stage::Stage;
 use glam::DVec3;
 
-use crate::block::attributes::CornerAttributes;
+use crate::block::attributes::{CornerAttributes, PAGE_TRIANGLES};
 use crate::budget::MemoryBudget;
 use crate::compile::{Control, Threads};
 use crate::error::{LoadError, RenderError, SourceError, TraceError};
@@ -236,6 +237,13 @@ impl RayQuery for Naive {
 
     fn corner_attributes(&mut self, triangle: TriangleId) -> Result<CornerAttributes, TraceError> {
         Ok(self.mesh.attributes.get(triangle.0 as usize).copied().unwrap_or_default())
+    }
+
+    fn may_have_normals(&self, triangle: TriangleId) -> bool {
+        // As coarse as a directory, so that the same is looked up.
+        let first = triangle.0 as usize / PAGE_TRIANGLES * PAGE_TRIANGLES;
+        let page = self.mesh.attributes.iter().skip(first).take(PAGE_TRIANGLES);
+        page.into_iter().any(|corners| corners.normals.is_some())
     }
 
     fn counters(&self) -> TraceCounters {

@@ -45,6 +45,10 @@ impl RayQuery for PoolQuery<'_> {
         }
     }
 
+    fn may_have_normals(&self, triangle: TriangleId) -> bool {
+        self.attributes.as_ref().is_some_and(|reader| reader.may_have_normals(triangle))
+    }
+
     fn counters(&self) -> TraceCounters {
         self.pool.counters()
     }

@@ -13,12 +13,12 @@ use super::samples::{Samples, Stacks};
 use super::tiles::{NextTile, Tiles};
 use crate::error::TraceError;
 use crate::render::counters::EffectCounters;
-use crate::render::hot::{Detailed, EffectsOfLoop, Matt, Sampled, Whitted};
+use crate::render::hot::{EffectsOfLoop, Matt, Sampled, Whitted};
 use crate::render::paths::{Head, PathTracer};
 use crate::render::query::RayQuery;
 use crate::render::report::WorkerSeconds;
 use crate::render::shadows::Walker;
-use crate::render::stage::{Loop, Stage};
+use crate::render::stage::{Loop, PixelSample, Stage};
 use crate::render::tile_samples::FinishedTile;
 use crate::render::workers::Watch;
 use crate::stats::TraceCounters;
@@ -173,29 +173,32 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
         if self.batch.is_empty() {
             return Ok(false);
         }
-        match self.stage.path_loop {
-            Loop::Matt => self.begin::<Matt>()?,
-            Loop::Whitted => self.begin::<Whitted>()?,
-            Loop::Sampled => self.begin::<Sampled>()?,
-            Loop::Detailed => self.begin::<Detailed>()?,
-        }
+        self.begin()?;
         self.watch.report();
         Ok(true)
     }
 
     /// Traces and shades the camera rays of the samples of the batch.
-    fn begin<E: EffectsOfLoop>(&mut self) -> Result<(), TraceError> {
+    fn begin(&mut self) -> Result<(), TraceError> {
         let WaitingWorker { paths, samples, tiles, batch, .. } = self;
         let start = Instant::now();
-        paths.begin::<E>(batch.iter().map(|place| {
-            let sample = samples.get(*place);
-            tiles.sample(sample.tile, sample.index)
-        }));
+        paths.begin(pixel_samples(batch, samples, tiles));
         for (place, ray) in batch.iter().zip(&paths.rays) {
             samples.get_mut(*place).ray = *ray;
         }
         paths.waiting_counts[..batch.len()].fill(0);
         paths.query.closest_hits(&paths.rays, &mut paths.hits[..batch.len()])?;
+        match paths.loop_of_samples() {
+            Loop::Matt => self.enter::<Matt>(start),
+            Loop::Whitted => self.enter::<Whitted>(start),
+            Loop::Sampled | Loop::Detailed => self.enter::<Sampled>(start),
+        }
+    }
+
+    /// Shades what the camera rays of the batch have hit.
+    fn enter<E: EffectsOfLoop>(&mut self, start: Instant) -> Result<(), TraceError> {
+        let WaitingWorker { paths, samples, tiles, batch, .. } = self;
+        paths.enter::<E>(pixel_samples(batch, samples, tiles));
         self.shade::<E>(start)
     }
 
@@ -227,8 +230,7 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
         match self.stage.path_loop {
             Loop::Matt => self.shade::<Matt>(start)?,
             Loop::Whitted => self.shade::<Whitted>(start)?,
-            Loop::Sampled => self.shade::<Sampled>(start)?,
-            Loop::Detailed => self.shade::<Detailed>(start)?,
+            Loop::Sampled | Loop::Detailed => self.shade::<Sampled>(start)?,
         }
         Ok(true)
     }
@@ -467,4 +469,16 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
             }
         }
     }
+}
+
+/// What the samples of a batch are of.
+fn pixel_samples<'a>(
+    batch: &'a [u32],
+    samples: &'a Samples,
+    tiles: &'a Tiles,
+) -> impl Iterator<Item = PixelSample> {
+    batch.iter().map(|place| {
+        let sample = samples.get(*place);
+        tiles.sample(sample.tile, sample.index)
+    })
 }
