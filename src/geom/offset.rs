@@ -40,7 +40,8 @@ pub fn position_error(vertices: &[[f64; 3]; 3], u: f64, v: f64) -> f64 {
 #[inline]
 pub fn triangle_normal(vertices: &[[f64; 3]; 3]) -> [f64; 3] {
     let [a, b, c] = vertices;
-    let (ab, ac) = ([0, 1, 2].map(|axis| b[axis] - a[axis]), [0, 1, 2].map(|axis| c[axis] - a[axis]));
+    let minus = |p: &[f64; 3], q: &[f64; 3]| [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
+    let (ab, ac) = (minus(b, a), minus(c, a));
     [ab[1] * ac[2] - ab[2] * ac[1], ab[2] * ac[0] - ab[0] * ac[2], ab[0] * ac[1] - ab[1] * ac[0]]
 }
 
@@ -68,7 +69,7 @@ pub fn offset_origin(
     let scaled = |a: [f64; 3]| {
         // Only the direction of the vector matters; scaling keeps squares away from overflow and underflow.
         let largest = a[0].abs().max(a[1].abs()).max(a[2].abs());
-        a.map(|x| x / largest)
+        [a[0] / largest, a[1] / largest, a[2] / largest]
     };
     let (n, d) = (scaled(geometric_normal), scaled(direction));
     let square = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
@@ -79,7 +80,7 @@ pub fn offset_origin(
     // n . (position - surface) may be as low as -error |n|_1; this moves it by +2 error |n|_1 (docs/numerics.md, "Offset").
     let step = 2.0 * error * (n[0].abs() + n[1].abs() + n[2].abs()) / square;
     let step = if side < 0.0 { -step } else { step };
-    [0, 1, 2].map(|axis| {
+    let at = |axis: usize| {
         let moved = position[axis] + step * n[axis];
         // Away from the surface, so that rounding does not take back what the step gave.
         match step * n[axis] {
@@ -87,5 +88,6 @@ pub fn offset_origin(
             s if s < 0.0 => moved.next_down(),
             _ => moved,
         }
-    })
+    };
+    [at(0), at(1), at(2)]
 }

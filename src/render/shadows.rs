@@ -151,7 +151,7 @@ impl ShadowBatch {
         }
         query.occluded(&self.rays, passed.as_ref(), occlusion)?;
         counters.shadow_rays += count as u64;
-        if passed.is_none() {
+        if passed.is_none() || !occlusion.contains(&Occlusion::Filtered) {
             // Nothing shines through, so that the answers are all there is. Shadows that are traced only because they are forced must not show.
             for (claim, answer) in self.claims.iter().zip(&*occlusion) {
                 if *answer == Occlusion::Clear || !stage.shadows {

@@ -156,6 +156,8 @@ pub(crate) struct Stage {
     pub background: DVec3,
     pub ambient: DVec3,
     shaders: Vec<Shader>,
+    /// For each material, the form that its hits ask for on triangles without and with normals of corners.
+    loops: Vec<[Loop; 2]>,
     /// Materials that shadows shine through; none if there are none.
     pub transparent: Option<MaterialSet>,
     /// Those of them that do not bend light.
@@ -262,6 +264,7 @@ impl Stage {
             ambient,
             bound: RadianceBound::new(scene, &surfaces, plan),
             shaders: surfaces.iter().map(|surface| Shader::new(surface, ambient)).collect(),
+            loops: Vec::new(),
             transparent: materials_that(&|surface| surface.is_transparent()),
             straight: materials_that(&|surface| surface.is_transparent() && !surface.refracts()),
             path_loop: Loop::Sampled,
@@ -295,9 +298,9 @@ impl Stage {
         };
         stage.cut_outs = cut_outs(&stage.maps, stage.transparent.as_ref());
         stage.least_loop = stage.loop_of_scene();
-        let of_materials =
-            (0..=u16::MAX).zip(&surfaces).map(|(id, _)| stage.loop_of_material(MaterialId(id)));
-        stage.path_loop = of_materials.fold(stage.least_loop, Loop::max);
+        stage.loops =
+            (0..=u16::MAX).zip(&surfaces).map(|(id, _)| stage.loops_of(MaterialId(id))).collect();
+        stage.path_loop = stage.loops.iter().flatten().copied().fold(stage.least_loop, Loop::max);
         stage
     }
 
@@ -321,15 +324,10 @@ impl Stage {
         }
     }
 
-    /// The form that hits on a material ask for, on triangles whose corners have normals.
-    fn loop_of_material(&self, material: MaterialId) -> Loop {
+    /// The form that hits on a material ask for, on triangles without and with normals of corners.
+    fn loops_of(&self, material: MaterialId) -> [Loop; 2] {
         let shader = self.shader(material);
-        if self.is_smooth(shader) { Loop::Detailed } else { self.loop_of_flat(material, shader) }
-    }
-
-    /// The form that hits on a material ask for, on triangles whose corners have no normals.
-    fn loop_of_flat(&self, material: MaterialId, shader: &Shader) -> Loop {
-        if self.maps(material).are_seen() {
+        let flat = if self.maps(material).are_seen() {
             Loop::Detailed
         } else if shader.alpha > 0.0 {
             Loop::Sampled
@@ -337,7 +335,8 @@ impl Stage {
             Loop::Whitted
         } else {
             Loop::Matt
-        }
+        };
+        [flat, if self.is_smooth(shader) { Loop::Detailed } else { flat }]
     }
 
     /// Whether normals of corners show on a material.
@@ -353,10 +352,10 @@ impl Stage {
             return found;
         }
         for hit in hits.iter().flatten() {
-            let shader = self.shader(hit.material);
-            found = found.max(self.loop_of_flat(hit.material, shader));
-            if found < self.path_loop && self.is_smooth(shader) && may_have_normals(hit.triangle) {
-                found = Loop::Detailed;
+            let [flat, smooth] = self.loops[usize::from(hit.material.0)];
+            found = found.max(flat);
+            if smooth > found && may_have_normals(hit.triangle) {
+                found = smooth;
             }
             if found == self.path_loop {
                 break;
@@ -404,7 +403,7 @@ impl Stage {
 
     /// What the tables take, those needed only to make them included.
     pub fn bytes(&self) -> usize {
-        self.shaders.len() * (size_of::<Shader>() + size_of::<Surface>())
+        self.shaders.len() * (size_of::<Shader>() + size_of::<Surface>() + size_of::<[Loop; 2]>())
             + self.maps.len() * size_of::<MaterialMaps>()
             + self.emitters.len() * size_of::<Emitter>()
             + self.areas.len() * size_of::<AreaEmitter>()

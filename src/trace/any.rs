@@ -267,6 +267,20 @@ impl<'a, S: Simd, P: Policy> Any<'a, S, P> {
         }
     }
 
+    /// Whether one of these triangles of a packet, whose first is number `first` of the leaf, is of a material that is not ignored.
+    #[inline(always)]
+    fn is_any_not_ignored(&self, fine: &Fine<'_>, leaf: Child, first: usize, mut triangles: u32) -> bool {
+        let Some(ignore) = self.ignore else { return true };
+        while triangles != 0 {
+            let at = TriangleLocation { leaf, lane: first + triangles.trailing_zeros() as usize };
+            if !ignore.contains(fine.material(at)) {
+                return true;
+            }
+            triangles &= triangles - 1;
+        }
+        false
+    }
+
     #[inline(always)]
     fn visit_leaf(
         &mut self,
@@ -296,7 +310,7 @@ impl<'a, S: Simd, P: Policy> Any<'a, S, P> {
                 &self.inner,
             );
             let (mut possible, certain) = (possible & lanes, certain & lanes);
-            if certain != 0 && self.ignore.is_none() {
+            if certain != 0 && self.is_any_not_ignored(fine, leaf, first, certain) {
                 return true;
             }
             while possible != 0 {
