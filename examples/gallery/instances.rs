@@ -14,6 +14,7 @@ use outcrop::scene::{Light, LightShape, Scene};
 use outcrop::{BlockSource, MemoryBudget};
 
 use crate::mesh::Mesh;
+use crate::page::plan;
 use crate::scenes::{camera, daylight, ground, matt, metal, shiny, sky};
 
 /// How the pictures are made.
@@ -177,6 +178,7 @@ pub fn forest(making: &Making<'_>, text: &mut String) -> Result<(), Box<dyn Erro
         report.height,
         report.samples_per_pixel
     );
+    text.push_str(&plan(report));
     Ok(())
 }
 
@@ -241,8 +243,9 @@ pub fn moving(making: &Making<'_>, text: &mut String) -> Result<(), Box<dyn Erro
         text,
         "\nFive instances of two models. The last picture has its shutter open from the first frame to the second. The first loads {} blocks, the \
          others together {new}: of {blocks} blocks each is loaded \
-         once, whatever moves.\n\n",
+         once, whatever moves. The plan and counters of the last:\n\n",
         loads[0]
     );
+    text.push_str(&plan(&image.report));
     Ok(())
 }

@@ -1,7 +1,9 @@
 //! Renders small scenes in code, one for each effect and some with several, and writes a page about what each costs.
 
+mod city;
 #[path = "../common/mod.rs"]
 mod common;
+mod costs;
 mod instances;
 mod mesh;
 mod page;
@@ -16,11 +18,10 @@ use std::sync::Arc;
 use common::arguments::{self, Arguments};
 use instances::Making;
 use outcrop::octree::OctreeOptions;
-use outcrop::render::{Control, PathEnd, RenderSettings, RenderedImage, Renderer, Threads};
-use outcrop::scene::{Effect, EffectSet};
+use outcrop::render::{Control, Film, PathEnd, RenderSettings, Renderer, Threads};
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
-use page::{Costs, Page, Run};
+use page::Page;
 use scenes::Entry;
 
 const HELP: &str = "\
@@ -41,6 +42,13 @@ struct Options {
     size: [u32; 2],
     quick: bool,
     threads: usize,
+}
+
+impl Options {
+    /// Whether costs are measured.
+    fn measures(&self) -> bool {
+        !self.quick && self.only.is_none()
+    }
 }
 
 fn main() -> ExitCode {
@@ -73,12 +81,18 @@ fn run(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
     let budget = MemoryBudget::new(Bytes::mib(256));
     let mut page = Page::default();
     let mut found = false;
-    for entry in scenes::all(&budget)? {
+    for entry in scenes::all(&budget, options.quick)? {
         if options.only.as_ref().is_some_and(|only| only != entry.name) {
             continue;
         }
         found = true;
         make(&options, entry, &budget, &mut page)?;
+    }
+    if options.measures() {
+        for costs in costs::forced(&budget)? {
+            println!("forced {}: {:.2} of the time", costs.what, costs.time[1]);
+            page.add_forced(&costs);
+        }
     }
     let making = Making {
         folder: &options.output,
@@ -131,7 +145,23 @@ fn make(
     } else {
         RenderSettings { path_end: PathEnd::Cut, contribution_bound: 1e-3, ..settings }
     };
-    let image = render(&octree, &entry, &settings, options.threads, budget)?;
+    let settings = RenderSettings {
+        detail_bytes: entry.detail_bytes.map_or(settings.detail_bytes, |bytes| bytes.0),
+        ..settings
+    };
+    let renderer = Renderer::new(&octree, &entry.scene, &settings, budget)?;
+    let image = renderer.render(&Threads::Count(options.threads), &mut |_| Control::Continue)?;
+    let plan = &image.report.plan;
+    if let Some(effect) = entry.excluded.iter().find(|effect| plan.has(**effect)) {
+        return Err(format!("{}: {} is in the plan, and may not be", entry.name, effect.name()).into());
+    }
+    let tiles = match (entry.detail_bytes, renderer.texture_stats()) {
+        (Some(_), Some(stats)) => {
+            let loads = stats.misses;
+            tiles(&octree, &entry, &settings, loads, &image.film, budget)?
+        }
+        _ => String::new(),
+    };
     let file = format!("{}.png", entry.name);
     image.film.write(&options.output.join(&file))?;
     println!(
@@ -140,14 +170,42 @@ fn make(
         image.report.effects.rays(),
         image.report.wall_seconds
     );
-    let costs = match entry.effect {
-        Some(effect) if !options.quick && options.only.is_none() => {
-            Some(costs(&octree, &entry, &settings, effect, budget)?)
+    page.add(&entry, &file, &image.report, &settings, &tiles);
+    if options.measures() {
+        for effect in entry.effects {
+            let costs = costs::added(&entry, &settings, *effect, budget)?;
+            println!("{}: {:.2} of the time without it", costs.what, costs.time[1]);
+            page.add_cost(entry.name, &file, &costs);
         }
-        _ => None,
-    };
-    page.add(&entry, &file, &image.report, &settings, costs);
+    }
     Ok(())
+}
+
+/// Makes the picture again with room for all tiles of its images, and says how many they are and how often they were loaded.
+fn tiles(
+    octree: &LazyOctree,
+    entry: &Entry,
+    settings: &RenderSettings,
+    loads: u64,
+    film: &Film,
+    budget: &MemoryBudget,
+) -> Result<String, Box<dyn Error>> {
+    let roomy = RenderSettings { detail_bytes: RenderSettings::new(1, 1).detail_bytes, ..*settings };
+    let renderer = Renderer::new(octree, &entry.scene, &roomy, budget)?;
+    let image = renderer.render(&Threads::One, &mut |_| Control::Continue)?;
+    if image.film.pixels() != film.pixels() {
+        return Err(format!("{}: the memory of textures shows", entry.name).into());
+    }
+    let touched = renderer.texture_stats().map_or(0, |stats| stats.misses);
+    let mib = |tiles: u64| (tiles * 16) as f64 / 1024.0;
+    let all = entry.scene.textures().map_or(0, |textures| u64::from(textures.tile_count()));
+    Ok(format!(
+        "{all} tiles are {:.0} MiB, of which the picture looks at {touched}, {:.1} MiB. With {:.1} MiB for attributes and tiles together it loads tiles \
+         {loads} times.",
+        mib(all),
+        mib(touched),
+        settings.detail_bytes as f64 / (1u64 << 20) as f64
+    ))
 }
 
 /// Whether the scene calls for an effect that draws random numbers.
@@ -158,66 +216,4 @@ fn is_lucky(
     budget: &MemoryBudget,
 ) -> Result<bool, Box<dyn Error>> {
     Ok(Renderer::new(octree, &entry.scene, settings, budget)?.plan().has_sampled_effects())
-}
-
-fn render(
-    octree: &LazyOctree,
-    entry: &Entry,
-    settings: &RenderSettings,
-    threads: usize,
-    budget: &MemoryBudget,
-) -> Result<RenderedImage, Box<dyn Error>> {
-    let renderer = Renderer::new(octree, &entry.scene, settings, budget)?;
-    Ok(renderer.render(&Threads::Count(threads), &mut |_| Control::Continue)?)
-}
-
-/// What the effect adds to its scene, and what it would cost to trace every effect and multiply by zero: CPU seconds of the
-/// best of three interleaved runs on one thread.
-fn costs(
-    octree: &LazyOctree,
-    entry: &Entry,
-    settings: &RenderSettings,
-    effect: Effect,
-    budget: &MemoryBudget,
-) -> Result<Costs, Box<dyn Error>> {
-    let planned = RenderSettings { width: 64, height: 48, samples_per_pixel: 4, ..*settings };
-    let without = RenderSettings { switched_off: EffectSet::EMPTY.with(effect), ..planned };
-    let forced = RenderSettings { forced: EffectSet::ALL, ..planned };
-    let mut runs = [Run::default(); 3];
-    let mut pictures = Vec::new();
-    for round in 0..3 {
-        for (run, settings) in runs.iter_mut().zip([&without, &planned, &forced]) {
-            let start = cpu_seconds();
-            let image = render(octree, entry, settings, 1, budget)?;
-            let seconds = cpu_seconds() - start;
-            let effects = &image.report.effects;
-            *run = Run {
-                rays_per_sample: effects.rays() as f64 / effects.samples as f64,
-                seconds: if round == 0 { seconds } else { run.seconds.min(seconds) },
-            };
-            pictures.push(image.film.pixels().to_vec());
-        }
-    }
-    // The check of the measurement: forced work does not show, and the effect does.
-    if pictures[1] != pictures[2] || pictures[0] == pictures[1] {
-        return Err(
-            format!("{}: the pictures with, without and forced are not as they must be", entry.name).into()
-        );
-    }
-    let [without, planned, forced] = runs;
-    Ok(Costs { effect, without, planned, forced })
-}
-
-/// CPU time of this thread (Linux); elsewhere the clock's.
-fn cpu_seconds() -> f64 {
-    let nanoseconds = std::fs::read_to_string("/proc/thread-self/schedstat")
-        .ok()
-        .and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
-    nanoseconds.map_or_else(
-        || {
-            let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-            since.map_or(0.0, |time| time.as_secs_f64())
-        },
-        |nanoseconds| nanoseconds * 1e-9,
-    )
 }

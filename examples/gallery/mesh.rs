@@ -172,13 +172,23 @@ impl Mesh {
         self.triangles.len()
     }
 
+    /// What is known of its materials.
+    pub fn materials(&self) -> &[MaterialRecord] {
+        &self.materials
+    }
+
     /// The mesh as a compiled file in memory.
     pub fn compile(&self) -> Result<MemorySource, Box<dyn Error>> {
+        self.compile_with(&CompileOptions::default())
+    }
+
+    /// [`Mesh::compile`] with options.
+    pub fn compile_with(&self, options: &CompileOptions) -> Result<MemorySource, Box<dyn Error>> {
         let budget = MemoryBudget::new(outcrop::units::Bytes::mib(256));
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("scene.outcrop");
         let mut progress = |_| Control::Continue;
-        let mut compiler = Compiler::new(&path, CompileOptions::default(), &budget, &mut progress)?;
+        let mut compiler = Compiler::new(&path, options.clone(), &budget, &mut progress)?;
         let mut ids = Vec::new();
         for record in &self.materials {
             ids.push(compiler.material(record.clone())?);

@@ -12,7 +12,7 @@ use crate::mesh::Mesh;
 use crate::scenes::{Entry, camera, daylight, ground, matt, metal, panel, shiny, sky};
 
 /// A number from 0 to 1 for each place, without pattern.
-fn noise(x: u32, y: u32) -> f64 {
+pub fn noise(x: u32, y: u32) -> f64 {
     let mut hash = x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b);
     hash = (hash ^ hash >> 15).wrapping_mul(0x2c1b_3c6d);
     hash = (hash ^ hash >> 12).wrapping_mul(0x297a_2d39);
@@ -20,7 +20,7 @@ fn noise(x: u32, y: u32) -> f64 {
 }
 
 /// Noise that is smooth over `cell` texels and repeats after `side`.
-fn clouds(x: u32, y: u32, cell: u32, side: u32) -> f64 {
+pub fn clouds(x: u32, y: u32, cell: u32, side: u32) -> f64 {
     let ease = |t: f64| t * t * (3.0 - 2.0 * t);
     let (i, j) = (x / cell, y / cell);
     let (s, t) = (ease(f64::from(x % cell) / f64::from(cell)), ease(f64::from(y % cell) / f64::from(cell)));
@@ -52,11 +52,11 @@ fn brick(x: u32, y: u32, side: u32) -> ([u32; 2], f64) {
     ([shifted * 4 / side, row], within(shifted, side / 4).min(within(y, side / 8)))
 }
 
-fn with(record: MaterialRecord, images: MaterialImages) -> MaterialRecord {
+pub fn with(record: MaterialRecord, images: MaterialImages) -> MaterialRecord {
     MaterialRecord { images: Some(Box::new(images)), ..record }
 }
 
-fn colored(name: &str) -> MaterialImages {
+pub fn colored(name: &str) -> MaterialImages {
     MaterialImages { diffuse: Some(ImageMap::new(name)), ..MaterialImages::default() }
 }
 
@@ -75,7 +75,7 @@ pub fn smooth_normals() -> Result<Entry, Box<dyn Error>> {
         .with_light(Light::directional([0.9, -0.6, -0.5], [0.9, 0.86, 0.78]));
     let (name, title) =
         ("smooth-normals", "The same 256 triangles without normals, with them, and as a mirror");
-    Ok(Entry { name, title, effect: Some(Effect::SmoothNormals), mesh, scene, samples_per_pixel: 16 })
+    Ok(Entry::new([name, title], &[Effect::SmoothNormals], mesh, scene, 16))
 }
 
 pub fn textures(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
@@ -117,7 +117,7 @@ pub fn textures(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
         .with_environment(sky(budget)?)
         .with_textures(Textures::in_memory([tiles, wall, globe])?);
     let (name, title) = ("textures", "Pictures on a floor up to the horizon, a wall and a globe");
-    Ok(Entry { name, title, effect: Some(Effect::Textures), mesh, scene, samples_per_pixel: 16 })
+    Ok(Entry::new([name, title], &[Effect::Textures], mesh, scene, 16))
 }
 
 pub fn cut_outs() -> Result<Entry, Box<dyn Error>> {
@@ -164,7 +164,7 @@ pub fn cut_outs() -> Result<Entry, Box<dyn Error>> {
     let scene = daylight(camera([0.3, 1.9, 4.6], [0.0, 0.55, 0.0], 38.0)?)
         .with_textures(Textures::in_memory([leaves])?);
     let (name, title) = ("alpha-cutouts", "Foliage: 46 cards of two triangles each, and their shadows");
-    Ok(Entry { name, title, effect: Some(Effect::AlphaCutouts), mesh, scene, samples_per_pixel: 16 })
+    Ok(Entry::new([name, title], &[Effect::AlphaCutouts], mesh, scene, 16))
 }
 
 pub fn bumps() -> Result<Entry, Box<dyn Error>> {
@@ -206,5 +206,5 @@ pub fn bumps() -> Result<Entry, Box<dyn Error>> {
         .with_textures(Textures::in_memory([courses, dents])?);
     let (name, title) =
         ("bump-maps", "A wall without bumps and one with (heights), and dents in two balls (normals)");
-    Ok(Entry { name, title, effect: Some(Effect::BumpMaps), mesh, scene, samples_per_pixel: 16 })
+    Ok(Entry::new([name, title], &[Effect::BumpMaps], mesh, scene, 16))
 }

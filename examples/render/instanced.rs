@@ -9,11 +9,12 @@ use outcrop::import::GltfPart;
 use outcrop::instance::{GltfInstances, Instance, Instances};
 use outcrop::model::Model;
 use outcrop::octree::TreeQuality;
-use outcrop::render::{RenderedImage, Renderer, Threads};
+use outcrop::render::{Renderer, Threads};
 use outcrop::scene::Scene;
 use outcrop::texture::Textures;
 use outcrop::{BlockSource, MemoryBudget};
 
+use crate::Picture;
 use crate::common::interrupt::Interrupt;
 use crate::common::progress::Meter;
 use crate::compiled::{self, Compiled, Origin};
@@ -56,7 +57,7 @@ pub fn picture(
     interrupt: &Interrupt,
     meter: &mut Meter,
     summary: &mut Summary,
-) -> Result<(RenderedImage, Vec<Compiled>), Box<dyn Error>> {
+) -> Result<(Picture, Vec<Compiled>), Box<dyn Error>> {
     let (mut compiled, mut sources) = (Vec::new(), Vec::new());
     for (file, part) in &parts.models {
         let options = Options { model: Some(file.clone()), part: part.clone(), ..options.clone() };
@@ -77,14 +78,15 @@ pub fn picture(
     // The caches take what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed_for(&models, &scene, &options.settings, &threads)?;
     let set_aside = budget.reserve(picture_bytes, "the picture")?;
+    let for_layers = crate::reserve_layers(options, budget)?;
     let octree_options = crate::octree_options(options, TreeQuality::Best);
     let mut instances = Instances::open(&sources, parts.places, budget, &octree_options)?;
     drop(set_aside);
     instances.move_while_open(&parts.movements)?;
     summary.placed(&instances, picture_bytes);
     let renderer = Renderer::over_instances(&instances, &scene, &options.settings, budget)?;
-    let image = renderer.render(&threads, &mut crate::progress_of(meter, interrupt))?;
-    Ok((image, compiled))
+    let picture = crate::draw(&renderer, options, for_layers, interrupt, meter)?;
+    Ok((picture, compiled))
 }
 
 /// The scene with the pictures that the models' materials name. They are named from one folder.

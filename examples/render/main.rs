@@ -22,12 +22,13 @@ use common::progress::Meter;
 use compiled::{Compiled, Origin};
 use options::{Command, Options, SourceKind};
 use outcrop::access::{AccessTrace, MissRatioCurve};
+use outcrop::budget::Reservation;
 use outcrop::compile::Control;
 use outcrop::free_memory::FollowFreeMemory;
 use outcrop::geom::Aabb;
 use outcrop::model::MaterialRecord;
 use outcrop::octree::{LazyOctree, OctreeOptions, TreeQuality};
-use outcrop::render::{Outcome, RenderedImage, Renderer, Threads};
+use outcrop::render::{Layers, Outcome, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, GltfView, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
 use outcrop::texture::Textures;
@@ -80,10 +81,10 @@ fn job(
 ) -> Result<ExitCode, Box<dyn Error>> {
     let mut meter = Meter::new();
     if let Some(parts) = instanced::Parts::of(options)? {
-        let (image, models) = instanced::picture(options, parts, budget, interrupt, &mut meter, summary)?;
+        let (picture, models) = instanced::picture(options, parts, budget, interrupt, &mut meter, summary)?;
         meter.finish();
         // The picture first: a full disk must not lose it.
-        let code = finish(options, &image, summary)?;
+        let code = finish(options, &picture, summary)?;
         models.iter().try_for_each(|model| keep_lazy(model, summary))?;
         return Ok(code);
     }
@@ -98,10 +99,10 @@ fn job(
         // Who is in a hurry for a first picture wants it traced soon, not fast.
         Origin::Lazy(model) => (Arc::clone(model) as Arc<dyn BlockSource>, TreeQuality::Quick),
     };
-    let image = render(options, source, budget, interrupt, &mut meter, summary)?;
+    let picture = render(options, source, budget, interrupt, &mut meter, summary)?;
     meter.finish();
     // The picture first: a full disk must not lose it.
-    let code = finish(options, &image, summary)?;
+    let code = finish(options, &picture, summary)?;
     keep_lazy(&compiled, summary)?;
     Ok(code)
 }
@@ -116,13 +117,43 @@ fn keep_lazy(compiled: &Compiled, summary: &mut Summary) -> Result<(), Box<dyn E
     Ok(())
 }
 
-/// Writes the picture.
-fn finish(
+/// What is written.
+struct Picture {
+    image: RenderedImage,
+    /// If they were asked for and the picture is whole.
+    layers: Option<Layers>,
+}
+
+/// What layers will take, set aside before a cache takes all that is left.
+fn reserve_layers(options: &Options, budget: &MemoryBudget) -> Result<Option<Reservation>, Box<dyn Error>> {
+    let bytes = Layers::bytes_needed(options.settings.width, options.settings.height);
+    Ok(options.layers.then(|| budget.reserve(bytes, "the layers")).transpose()?)
+}
+
+/// Renders the picture and the layers, for which `set_aside` is.
+fn draw(
+    renderer: &Renderer<'_>,
     options: &Options,
-    image: &RenderedImage,
-    summary: &mut Summary,
-) -> Result<ExitCode, Box<dyn Error>> {
-    image.film.write(&options.output)?;
+    set_aside: Option<Reservation>,
+    interrupt: &Interrupt,
+    meter: &mut Meter,
+) -> Result<Picture, Box<dyn Error>> {
+    let threads = Threads::Count(options.threads as usize);
+    let image = renderer.render(&threads, &mut progress_of(meter, interrupt))?;
+    let is_whole = image.report.outcome == Outcome::Complete;
+    let has_layers = set_aside.is_some() && is_whole;
+    drop(set_aside);
+    let layers = has_layers.then(|| renderer.layers(&mut progress_of(meter, interrupt))).transpose()?;
+    Ok(Picture { image, layers })
+}
+
+/// Writes the picture.
+fn finish(options: &Options, picture: &Picture, summary: &mut Summary) -> Result<ExitCode, Box<dyn Error>> {
+    let Picture { image, layers } = picture;
+    match layers {
+        Some(layers) => layers.write(&image.film, &options.output)?,
+        None => image.film.write(&options.output)?,
+    }
     summary.rendered(image, &options.output);
     Ok(match image.report.outcome {
         Outcome::Complete => ExitCode::SUCCESS,
@@ -156,7 +187,7 @@ fn render(
     interrupt: &Interrupt,
     meter: &mut Meter,
     summary: &mut Summary,
-) -> Result<RenderedImage, Box<dyn Error>> {
+) -> Result<Picture, Box<dyn Error>> {
     let settings = options.settings;
     let threads = Threads::Count(options.threads as usize);
     let mut scene = scene(options, &source.model().bounds, budget)?;
@@ -166,6 +197,7 @@ fn render(
     // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
     let set_aside = budget.reserve(picture_bytes, "the picture")?;
+    let for_layers = reserve_layers(options, budget)?;
     let mut octree = LazyOctree::open(source, budget, octree_options(options, quality))?;
     drop(set_aside);
     let recording = match &options.record_accesses {
@@ -174,13 +206,13 @@ fn render(
     };
     summary.opened(&octree, picture_bytes);
     let renderer = Renderer::new(&octree, &scene, &settings, budget)?;
-    let image = renderer.render(&threads, &mut progress_of(meter, interrupt))?;
+    let picture = draw(&renderer, options, for_layers, interrupt, meter)?;
     if let Some((path, recorder)) = recording {
         recorder.finish()?;
         meter.finish();
         summary.accesses(path, &MissRatioCurve::of(&AccessTrace::open(path)?));
     }
-    Ok(image)
+    Ok(picture)
 }
 
 fn octree_options(options: &Options, quality: TreeQuality) -> OctreeOptions {

@@ -35,6 +35,8 @@ model
     --gears N               wheels per edge of the gears that are made without a MODEL (4): 27,456 N^3 + 96 triangles
 picture
     -o, --output FILE       .png, .exr or .pfm; MODEL.png in the current folder if not given
+    --layers                write depth, normal, triangle, material, albedo, samples and costs of each pixel too, as channels of the .exr file that -o
+                            names; rays of different pixels are then not traced together, which takes longer
     --size WxH              512x512 (gears 768x768); one number for a square
     --spp N                 samples per pixel (1)
     --eye X,Y,Z             camera; chosen to show the whole model if not given
@@ -100,6 +102,8 @@ pub struct Options {
     pub gears_n: Option<u32>,
     /// The picture.
     pub output: PathBuf,
+    /// Whether layers are written beside the colours.
+    pub layers: bool,
     pub settings: RenderSettings,
     pub eye: Option<[f64; 3]>,
     pub look_at: Option<[f64; 3]>,
@@ -185,6 +189,7 @@ impl Options {
                 "-o" | "--output" => given.output = Some(arguments.path()?),
                 "--size" => given.size = Some(arguments.size()?),
                 "--gears" => options.gears_n = Some(arguments.value()?),
+                "--layers" => options.layers = true,
                 "--spp" => given.samples = Some(arguments.value()?),
                 "--eye" => options.eye = Some(arguments.numbers()?),
                 "--look-at" => options.look_at = Some(arguments.numbers()?),
@@ -295,7 +300,13 @@ impl Options {
                 Some(stem) => Path::new(stem).with_extension("png"),
                 None => PathBuf::from("gears.png"),
             });
-        ImageFormat::of_path(&self.output)?;
+        let format = ImageFormat::of_path(&self.output)?;
+        if self.layers {
+            if format != ImageFormat::Exr {
+                return Err(format!("--layers: {} is no .exr file", self.output.display()).into());
+            }
+            (self.settings.keep_statistics, self.settings.keep_costs) = (true, true);
+        }
         Ok(())
     }
 
@@ -362,6 +373,7 @@ impl Default for Options {
             model: None,
             gears_n: None,
             output: PathBuf::new(),
+            layers: false,
             settings: RenderSettings::new(512, 512),
             eye: None,
             look_at: None,

@@ -1,7 +1,9 @@
 //! What the effects of a picture cost in rays.
 
-use super::detail::query::DetailCounters;
 use serde::{Deserialize, Serialize};
+
+use super::detail::query::DetailCounters;
+use crate::scene::Effect;
 
 /// Rays and samples by effect. Exact, and the same for any tile size, thread count and cache size.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,8 +60,20 @@ pub struct EffectCounters {
     pub cutout_rays: u64,
     /// Lookups in pictures of heights and normals.
     pub bump_reads: u64,
-    /// Random numbers drawn by effects; positions in pixels not counted.
+    /// Hits on surfaces that glow.
+    pub glowing_hits: u64,
+    /// Lookups of attributes and in pictures by forced effects, that could not matter.
+    pub forced_lookups: u64,
+    /// Random numbers drawn by effects; positions in pixels not counted. [`EffectCounters::numbers_of`] has those of each.
     pub random_numbers: u64,
+    /// Those of them for rough mirrors.
+    pub glossy_numbers: u64,
+    /// Those for rough glass.
+    pub frosted_numbers: u64,
+    /// Those for the directions of diffuse bounces, and for which ray goes on after one.
+    pub bounce_numbers: u64,
+    /// Those for Russian roulette.
+    pub roulette_numbers: u64,
     /// Rays and lamps not followed because they could not add more than the contribution bound.
     pub contribution_cuts: u64,
     /// Rays and lamps that Russian roulette ended.
@@ -85,6 +99,8 @@ impl EffectCounters {
             cutouts_passed,
             cutout_rays,
             bump_reads,
+            forced_lookups,
+            forced_rays,
         } = found;
         self.attribute_lookups += attribute_lookups;
         self.texture_reads += texture_reads;
@@ -92,15 +108,17 @@ impl EffectCounters {
         self.cutouts_passed += cutouts_passed;
         self.cutout_rays += cutout_rays;
         self.bump_reads += bump_reads;
+        self.forced_lookups += forced_lookups;
+        self.forced_rays += forced_rays;
     }
 
     /// Every counter with its name.
-    pub fn fields(&self) -> [(&'static str, u64); 30] {
+    pub fn fields(&self) -> [(&'static str, u64); 36] {
         let mut copy = *self;
         copy.fields_mut().map(|(name, count)| (name, *count))
     }
 
-    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 30] {
+    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 36] {
         // Taken apart, so that a new counter cannot be forgotten.
         let EffectCounters {
             samples,
@@ -129,7 +147,13 @@ impl EffectCounters {
             cutouts_passed,
             cutout_rays,
             bump_reads,
+            glowing_hits,
+            forced_lookups,
             random_numbers,
+            glossy_numbers,
+            frosted_numbers,
+            bounce_numbers,
+            roulette_numbers,
             contribution_cuts,
             roulette_ends,
             work_cuts,
@@ -161,11 +185,43 @@ impl EffectCounters {
             ("cutouts_passed", cutouts_passed),
             ("cutout_rays", cutout_rays),
             ("bump_reads", bump_reads),
+            ("glowing_hits", glowing_hits),
+            ("forced_lookups", forced_lookups),
             ("random_numbers", random_numbers),
+            ("glossy_numbers", glossy_numbers),
+            ("frosted_numbers", frosted_numbers),
+            ("bounce_numbers", bounce_numbers),
+            ("roulette_numbers", roulette_numbers),
             ("contribution_cuts", contribution_cuts),
             ("roulette_ends", roulette_ends),
             ("work_cuts", work_cuts),
         ]
+    }
+
+    /// The random numbers that `effect` drew; together with [`EffectCounters::roulette_numbers`] they are all.
+    pub fn numbers_of(&self, effect: Effect) -> u64 {
+        match effect {
+            // A place on the light, a direction, a place on the lens: two numbers each.
+            Effect::AreaLight => 2 * self.area_light_samples,
+            Effect::EnvironmentLight => 2 * self.environment_samples,
+            Effect::DepthOfField => 2 * self.lens_rays,
+            Effect::MotionBlur => self.shutter_rays,
+            Effect::GlossyReflection => self.glossy_numbers,
+            Effect::RoughRefraction => self.frosted_numbers,
+            Effect::Interreflection => self.bounce_numbers,
+            Effect::DirectLight
+            | Effect::Shadows
+            | Effect::Reflection
+            | Effect::Transmission
+            | Effect::Absorption
+            | Effect::NestedMedia
+            | Effect::Antialiasing
+            | Effect::SmoothNormals
+            | Effect::Textures
+            | Effect::AlphaCutouts
+            | Effect::BumpMaps
+            | Effect::Emission => 0,
+        }
     }
 
     /// All rays that were traced.

@@ -168,6 +168,7 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
             return DVec3::ZERO;
         }
         self.counters.random_numbers += 1;
+        self.counters.roulette_numbers += 1;
         if scatter.walk.key.one(scatter.vertex, luck) * bound < largest {
             return contribution * (bound / largest);
         }

@@ -84,13 +84,24 @@ impl Layers {
         image::write_layers(film, self, path)
     }
 
-    /// What layers of an image take from the budget.
-    pub(super) fn bytes_needed(stage: &Stage) -> Bytes {
-        let count = u64::from(stage.grid.width) * u64::from(stage.grid.height);
+    /// What the layers of an image of so many pixels take from the budget while they are made. An octree opened without a limit takes all that is left for
+    /// its cache, so reserve this before, and drop that reservation before [`Renderer::layers`](super::Renderer::layers).
+    pub fn bytes_needed(width: u32, height: u32) -> Bytes {
+        Bytes(Layers::own_bytes(width, height).0 + row_bytes(width).0)
+    }
+
+    /// What they take for as long as they live.
+    fn own_bytes(width: u32, height: u32) -> Bytes {
         /// Channels of 32 bits that a file is written from.
         const WRITTEN_BYTES: u64 = 17 * 4;
+        let count = u64::from(width) * u64::from(height);
         Bytes(count * (size_of::<Option<LayerPixel>>() as u64 + WRITTEN_BYTES))
     }
+}
+
+/// What the rays of a row and their hits take.
+fn row_bytes(width: u32) -> Bytes {
+    Bytes(u64::from(width) * (size_of::<Ray>() + size_of::<Option<Hit>>()) as u64)
 }
 
 /// Traces one ray per pixel, row by row.
@@ -102,9 +113,8 @@ pub(super) fn layers(
 ) -> Result<Layers, RenderError> {
     let mut query = SurfaceQuery::new(stage, query);
     let (width, height) = (stage.grid.width, stage.grid.height);
-    let reservation = budget.reserve(Layers::bytes_needed(stage), "the layers")?;
-    let row_bytes = u64::from(width) * (size_of::<Ray>() + size_of::<Option<Hit>>()) as u64;
-    let _row = budget.reserve(Bytes(row_bytes), "a row of the layers")?;
+    let reservation = budget.reserve(Layers::own_bytes(width, height), "the layers")?;
+    let _row = budget.reserve(row_bytes(width), "a row of the layers")?;
     let mut pixels = Vec::with_capacity(width as usize * height as usize);
     let mut rays = Vec::with_capacity(width as usize);
     let mut hits = vec![None; width as usize];

@@ -356,6 +356,8 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             if E::SECONDARY && medium != DVec3::ZERO {
                 self.counters.absorbed_segments += 1;
                 head.throughput *= absorb(medium, hit.t);
+            } else if E::SECONDARY && stage.force_absorption {
+                head.throughput *= DVec3::ONE + absorb(DVec3::ONE, hit.t) * 0.0;
             }
             let error = border.map_or(hit.position_error(), |border| border.error.max(hit.position_error()));
             let origin_on =
@@ -393,6 +395,9 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 }
                 let detail = Detail::at(stage, &mut self.query, &mut self.counters, &hit, shader, &seen)?;
                 point.normal = detail.normal;
+                if stage.forced_details.is_some() {
+                    self.radiance[slot] += head.throughput * (detail.forced * 0.0);
+                }
                 if detail.lift != DVec3::ZERO {
                     // The offset keeps its side: the lift never leads to the other.
                     point.position += detail.lift;
@@ -409,6 +414,13 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             let glow =
                 if E::DETAILED { shader.emission + shader.diffuse * stage.ambient } else { shader.glow };
             self.radiance[slot] += head.throughput * glow;
+            if E::SECONDARY {
+                self.counters.glowing_hits += u64::from(shader.glows);
+                if stage.force_emission {
+                    // Black, as the plan left it.
+                    self.radiance[slot] += head.throughput * shader.emission;
+                }
+            }
             let is_lit = stage.direct || E::SAMPLED && stage.samples_lights();
             let eta =
                 if E::SECONDARY { index_ratio(stage, shader, border.as_ref(), is_behind) } else { None };
@@ -456,6 +468,11 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             let walk = &self.walks[index];
             let uv = walk.key.pair(walk.vertex, Dimension::Microfacet);
             self.counters.random_numbers += 2;
+            let of_lobe = match shader.is_glass() {
+                true => &mut self.counters.frosted_numbers,
+                false => &mut self.counters.glossy_numbers,
+            };
+            *of_lobe += 2;
             facet = glossy::sample_facet(point.normal, point.view, shader.alpha, uv);
         }
         if let Some(eta) = eta {
@@ -494,6 +511,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             bounced = bounce(point.normal, walk.key.pair(walk.vertex, Dimension::Bounce));
             if stage.interreflection && shader.diffuse != DVec3::ZERO {
                 self.counters.random_numbers += 2;
+                self.counters.bounce_numbers += 2;
                 candidates[2].1 = if bounced.is_some() { shader.diffuse } else { DVec3::ZERO };
             }
         }
@@ -539,6 +557,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 let (walk, bound) = (&self.walks[index], stage.settings.contribution_bound);
                 let most = stage.contribution_max(throughput, remaining.max(1));
                 self.counters.random_numbers += 1;
+                self.counters.roulette_numbers += 1;
                 if walk.key.one(walk.vertex, Dimension::Roulette(place as u32)) * bound < most {
                     children[place] = Some(make(throughput * (bound / most)));
                     continue;
@@ -578,6 +597,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         let walk = &self.walks[index];
         let mut rest = walk.key.one(walk.vertex, Dimension::Choice) * total;
         self.counters.random_numbers += 1;
+        self.counters.bounce_numbers += 1;
         let mut chosen = None;
         for (child, weight) in children.iter().zip(weights) {
             if weight == 0.0 {
@@ -692,10 +712,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             (Kind::Bounce, _) => counters.bounce_rays += 1,
             (_, Course::Sampled(_)) if E::SAMPLED => {
                 // The hit that it leaves is still there.
-                let is_glass = self.hits[index].is_some_and(|hit| {
-                    let shader = self.stage.shader(hit.material);
-                    shader.transmission > 0.0 && shader.refractive_index != 1.0
-                });
+                let is_glass = self.hits[index].is_some_and(|hit| self.stage.shader(hit.material).is_glass());
                 *if is_glass { &mut counters.frosted_rays } else { &mut counters.glossy_rays } += 1;
             }
             (Kind::Reflection, _) => counters.reflection_rays += 1,

@@ -104,8 +104,8 @@ impl<'a> Renderer<'a> {
             true => geometry.open_attributes(attribute_share, readers, budget)?,
             false => Vec::new(),
         };
-        if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
-            let cache = TextureCache::open(Arc::clone(textures), texture_share, readers, budget)?;
+        if let Some(textures) = stage.textures_to_open(scene) {
+            let cache = TextureCache::open(textures, texture_share, readers, budget)?;
             stage.textures = Some(Arc::new(cache));
         }
         Ok(Renderer { geometry, stage, plan, budget: budget.clone(), attributes })
@@ -423,8 +423,8 @@ fn detail_bytes(stage: &Stage, scene: &Scene, surfaces: &Surfaces<'_>, readers: 
     if stage.needs_attributes() {
         bytes += surfaces.attribute_bytes(attribute_share, readers).0;
     }
-    if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
-        bytes += TextureCache::footprint(textures, texture_share, readers).0;
+    if let Some(textures) = stage.textures_to_open(scene) {
+        bytes += TextureCache::footprint(&textures, texture_share, readers).0;
     }
     Bytes(bytes)
 }

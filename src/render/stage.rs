@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::bound::RadianceBound;
+use super::detail::forced::{self, ForcedDetails};
 use super::detail::maps::{CutOuts, MaterialMaps, cut_outs, maps};
 use super::random::{Dimension, SampleKey, VertexId};
 use super::sampling::{MIDDLE, pixel_offset};
@@ -13,9 +14,9 @@ use super::tiles::TileGrid;
 use crate::geom::Ray;
 use crate::model::MaterialRecord;
 use crate::scene::{
-    AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Scene, Surface, View,
+    AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Light, Scene, Surface, View,
 };
-use crate::texture::TextureCache;
+use crate::texture::{TextureCache, Textures};
 use crate::trace::{Hit, MaterialSet};
 use crate::units::{MaterialId, TriangleId};
 
@@ -25,6 +26,8 @@ pub(crate) struct Shader {
     /// What it sends everywhere without lamps, where pictures change neither emission nor diffuse colour.
     pub glow: DVec3,
     pub emission: DVec3,
+    /// Whether that is not black.
+    pub glows: bool,
     pub diffuse: DVec3,
     pub highlight: DVec3,
     pub has_highlight: bool,
@@ -91,6 +94,7 @@ impl Shader {
         Shader {
             glow: DVec3::from_array(surface.emission) + diffuse * ambient,
             emission: DVec3::from_array(surface.emission),
+            glows: surface.emission != [0.0; 3],
             diffuse,
             highlight: DVec3::from_array(surface.highlight),
             has_highlight: surface.highlight != [0.0; 3],
@@ -106,6 +110,11 @@ impl Shader {
             depends_on_normal: surface.depends_on_normal() || surface.alpha > 0.0,
             reflects: surface.is_mirror() || surface.refracts(),
         }
+    }
+
+    /// Whether it splits light by Fresnel's equations.
+    pub fn is_glass(&self) -> bool {
+        self.transmission > 0.0 && self.refractive_index != 1.0
     }
 }
 
@@ -130,7 +139,7 @@ pub(crate) struct CameraSample {
 /// The compiled forms of the path loop, each of which knows all that those before it know; see [`super::hot`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Loop {
-    /// No ray goes on from a hit.
+    /// No ray goes on from a hit, and none glows.
     Matt,
     /// Smooth mirrors and glass.
     Whitted,
@@ -182,6 +191,8 @@ pub(crate) struct Stage {
     pub force_shadows: bool,
     pub force_reflection: bool,
     pub force_transmission: bool,
+    pub force_absorption: bool,
+    pub force_emission: bool,
     pub force_areas: bool,
     pub force_environment: bool,
     pub force_glossy: bool,
@@ -193,8 +204,8 @@ pub(crate) struct Stage {
     /// Whether instances move while the shutter is open.
     pub are_moving: bool,
     pub smooth: bool,
-    /// Whether attributes are looked up although they cannot matter.
-    pub force_details: bool,
+    /// What is looked up on surfaces although it cannot matter.
+    pub forced_details: Option<ForcedDetails>,
     /// The pictures of each material; empty if the plan needs none.
     maps: Vec<MaterialMaps>,
     /// Materials that are not there everywhere.
@@ -245,7 +256,8 @@ impl Stage {
         if !plan.has(Effect::MotionBlur) {
             camera = camera.at_rest();
         }
-        let details = [Effect::SmoothNormals, Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
+        let forced_details = ForcedDetails::of(scene, plan);
+        let forces = |effect| plan.forces(effect) && !plan.has(effect);
         let ambient = DVec3::from_array(scene.ambient().map(f64::from));
         let mut stage = Stage {
             grid: settings.grid(),
@@ -281,6 +293,8 @@ impl Stage {
             force_shadows,
             force_reflection: plan.forces(Effect::Reflection),
             force_transmission: plan.forces(Effect::Transmission),
+            force_absorption: forces(Effect::Absorption),
+            force_emission: forces(Effect::Emission),
             force_areas,
             force_environment,
             force_glossy: plan.forces(Effect::GlossyReflection),
@@ -291,15 +305,17 @@ impl Stage {
             are_moving: false,
             force_shutter: plan.forces(Effect::MotionBlur) && !plan.has(Effect::MotionBlur),
             smooth: plan.has(Effect::SmoothNormals),
-            force_details: details.into_iter().any(|effect| plan.forces(effect) && !plan.has(effect)),
-            maps: maps(scene, materials, plan),
+            forced_details,
+            maps: maps(scene, materials, plan, forced_details.as_ref()),
             cut_outs: None,
             textures: None,
         };
+        if stage.emitters.is_empty() && (force_shadows || plan.forces(Effect::DirectLight)) {
+            stage.emitters.extend(Light::directional([0.0, -1.0, 0.0], [0.0; 3]).emitter());
+        }
         stage.cut_outs = cut_outs(&stage.maps, stage.transparent.as_ref());
         stage.least_loop = stage.loop_of_scene();
-        stage.loops =
-            (0..=u16::MAX).zip(&surfaces).map(|(id, _)| stage.loops_of(MaterialId(id))).collect();
+        stage.loops = (0..=u16::MAX).zip(&surfaces).map(|(id, _)| stage.loops_of(MaterialId(id))).collect();
         stage.path_loop = stage.loops.iter().flatten().copied().fold(stage.least_loop, Loop::max);
         stage
     }
@@ -313,11 +329,15 @@ impl Stage {
             || self.nested
             || self.roulette
             || self.forces_a_sampled_effect();
-        if self.force_details {
+        if self.forced_details.is_some() {
             Loop::Detailed
         } else if is_sampled {
             Loop::Sampled
-        } else if self.force_reflection || self.force_transmission {
+        } else if self.force_reflection
+            || self.force_transmission
+            || self.force_absorption
+            || self.force_emission
+        {
             Loop::Whitted
         } else {
             Loop::Matt
@@ -331,7 +351,7 @@ impl Stage {
             Loop::Detailed
         } else if shader.alpha > 0.0 {
             Loop::Sampled
-        } else if shader.mirror != DVec3::ZERO || shader.transmission > 0.0 {
+        } else if shader.glows || shader.mirror != DVec3::ZERO || shader.transmission > 0.0 {
             Loop::Whitted
         } else {
             Loop::Matt
@@ -411,12 +431,21 @@ impl Stage {
 
     /// Whether hits are asked for attributes, if there are any.
     pub fn needs_attributes(&self) -> bool {
-        self.smooth || self.force_details || self.needs_textures()
+        self.smooth || self.forced_details.is_some() || self.needs_textures()
     }
 
     /// Whether hits are looked up in pictures.
     pub fn needs_textures(&self) -> bool {
-        self.cut_outs.is_some() || self.maps.iter().any(MaterialMaps::are_seen)
+        let is_forced = self.forced_details.is_some_and(|forced| forced.needs_textures());
+        is_forced || self.cut_outs.is_some() || self.maps.iter().any(MaterialMaps::are_seen)
+    }
+
+    /// The pictures that hits are looked up in, if they are: those of the scene, or a texel where effects are only forced.
+    pub fn textures_to_open(&self, scene: &Scene) -> Option<Arc<Textures>> {
+        if !self.needs_textures() {
+            return None;
+        }
+        scene.textures().filter(|textures| textures.image_count() > 0).cloned().or_else(forced::stand_in)
     }
 
     /// The pictures of a material.

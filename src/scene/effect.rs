@@ -41,11 +41,13 @@ pub enum Effect {
     AlphaCutouts,
     /// Heights or normals from image files bend what light falls on.
     BumpMaps,
+    /// Surfaces that glow.
+    Emission,
 }
 
 impl Effect {
     /// All effects.
-    pub const ALL: [Effect; 18] = [
+    pub const ALL: [Effect; 19] = [
         Effect::DirectLight,
         Effect::Shadows,
         Effect::AreaLight,
@@ -64,6 +66,7 @@ impl Effect {
         Effect::Textures,
         Effect::AlphaCutouts,
         Effect::BumpMaps,
+        Effect::Emission,
     ];
 
     /// The name used in reports.
@@ -87,6 +90,7 @@ impl Effect {
             Effect::Textures => "textures",
             Effect::AlphaCutouts => "alpha cut-outs",
             Effect::BumpMaps => "bump maps",
+            Effect::Emission => "emission",
         }
     }
 }
@@ -133,9 +137,9 @@ pub struct EffectOptions {
     /// Left out even if the scene calls for it. The picture changes. ([`Effect::Antialiasing`] is left out by
     /// asking for one sample.)
     pub switched_off: EffectSet,
-    /// Traced even if the scene has no use for it, and multiplied by zero: the picture does not change by a bit. For
-    /// tests and for measuring what the plan saves. ([`Effect::Absorption`] and [`Effect::Antialiasing`] have no rays of
-    /// their own to trace.)
+    /// Simulated even if the scene has no use for it, and multiplied by zero: the picture does not change by a bit. For
+    /// tests and for measuring what the plan saves. Rays are traced, pictures looked up (a texel of its own where the scene has none),
+    /// normals interpolated. ([`Effect::Antialiasing`] has no work of its own.)
     pub forced: EffectSet,
 }
 

@@ -152,6 +152,9 @@ impl EffectPlan {
         if !is_lit.into_iter().any(|effect| self.has(effect)) {
             surface.highlight = [0.0; 3];
         }
+        if !self.has(Effect::Emission) {
+            surface.emission = [0.0; 3];
+        }
         if !self.has(Effect::Reflection) {
             surface.mirror = [0.0; 3];
         }
@@ -242,6 +245,13 @@ mod tests {
         let smoke = MaterialRecord { transmission: [0.5; 3], ..veil };
         check(&scene(), std::slice::from_ref(&smoke), &options, &[Transmission, Absorption]);
         check(&scene(), &[smoke], &off(Transmission), &[]);
+        let lamp = MaterialRecord { emission: [0.0, 2.0, 0.0], ..material("lamp") };
+        check(&scene(), std::slice::from_ref(&lamp), &options, &[Emission]);
+        check(&scene(), std::slice::from_ref(&lamp), &off(Emission), &[]);
+        // Its light is what there is to be passed on.
+        let bounced = scene().with_interreflection();
+        check(&bounced, std::slice::from_ref(&lamp), &options, &[Emission, Interreflection]);
+        check(&bounced, &[lamp], &off(Emission), &[]);
     }
 
     #[test]
@@ -302,6 +312,14 @@ mod tests {
         assert_eq!(alpha(&rough, &options), 0.25);
         let off = EffectOptions { switched_off: EffectSet::EMPTY.with(GlossyReflection), ..options };
         assert_eq!(alpha(&rough, &off), 0.0);
+        let lamp = MaterialRecord { emission: [3.0; 3], ..material("lamp") };
+        let emission = |options: &EffectOptions| {
+            let plan = EffectPlan::of_materials(&rough, std::slice::from_ref(&lamp), options);
+            plan.surface(&rough, &lamp).emission
+        };
+        assert_eq!(emission(&options), [3.0; 3]);
+        let dark = EffectOptions { switched_off: EffectSet::EMPTY.with(Emission), ..options };
+        assert_eq!(emission(&dark), [0.0; 3]);
         // With interreflection 0.7 + 0.9 is too much.
         let bounced = rough.with_interreflection();
         let plan = EffectPlan::of_materials(&bounced, &[chrome()], &options);

@@ -180,7 +180,7 @@ impl Traits {
                     no("the scene did not ask for it")
                 } else if self.diffuse.count == 0 {
                     no("no material is diffuse")
-                } else if !self.shines(scene) {
+                } else if !self.shines(scene, !is_off(Effect::Emission)) {
                     no("nothing in the scene shines")
                 } else {
                     yes(format!("between {}", self.diffuse.describe("diffuse material", "diffuse materials")))
@@ -212,6 +212,10 @@ impl Traits {
             Effect::BumpMaps => {
                 self.by_images(scene, &self.bumped, ["material with bumps", "materials with bumps"])
             }
+            Effect::Emission => match self.glowing.count {
+                0 => no("no material glows"),
+                _ => yes(self.glowing.describe("glowing material", "glowing materials")),
+            },
             Effect::SmoothNormals => match (self.attributes.normals, self.shaded.count) {
                 (false, _) => no("no triangle has normals at its corners"),
                 (true, 0) => no("no material is lit, reflects or refracts"),
@@ -237,14 +241,15 @@ impl Traits {
         self.lit.count > 0 && scene.environment().is_some_and(|environment| !environment.is_dark())
     }
 
-    /// Whether there is any light to be passed on.
-    fn shines(&self, scene: &Scene) -> bool {
+    /// Whether there is any light to be passed on; that of glowing materials only if they glow.
+    fn shines(&self, scene: &Scene, with_emission: bool) -> bool {
         let surroundings = match scene.environment() {
             Some(environment) => !environment.is_dark(),
             None => scene.background() != [0.0; 3],
         };
         surroundings
-            || self.point_lights + self.area_lights + self.glowing.count > 0
+            || self.point_lights + self.area_lights > 0
+            || with_emission && self.glowing.count > 0
             || scene.ambient() != [0.0; 3]
     }
 }

@@ -8,7 +8,7 @@ use outcrop::model::MaterialRecord;
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{CUBOID_FACES, cuboid_corners};
 use outcrop::render::{RenderSettings, RenderedImage, Renderer};
-use outcrop::scene::{Camera, Finish, Light, Scene};
+use outcrop::scene::{Camera, Effect, EffectSet, Finish, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource};
 use outcrop::texture::Textures;
 use outcrop::units::Bytes;
@@ -303,5 +303,65 @@ fn normals_that_face_away() {
         for (x, flat) in found.iter().zip(&flat) {
             assert!(*flat > 0.0 || *x == 0.0, "case {number}");
         }
+    }
+}
+
+/// A coarse ball with the normals of the sphere in light from the side. Its triangles are flat, so near the line where light ends one that the light still falls on
+/// by its normals lies in the shadow of its neighbours.
+#[test]
+fn the_shadow_terminator_of_a_coarse_ball() {
+    const RINGS: u32 = 10;
+    let place = tempfile::tempdir().unwrap();
+    for translation in TRANSLATIONS {
+        let mut obj = String::from("usemtl clay\n");
+        for ring in 0..=RINGS {
+            for segment in 0..2 * RINGS {
+                let (down, around) = (
+                    std::f64::consts::PI * f64::from(ring) / f64::from(RINGS),
+                    std::f64::consts::PI * f64::from(segment) / f64::from(RINGS),
+                );
+                let [x, y, z] = [down.sin() * around.cos(), down.cos(), -down.sin() * around.sin()];
+                let [px, py, pz] = [x, y, z].map(|x| translation + x);
+                obj += &format!("v {px} {py} {pz}\nvn {x} {y} {z}\n");
+            }
+        }
+        for (ring, segment) in (0..RINGS).flat_map(|ring| (0..2 * RINGS).map(move |segment| (ring, segment)))
+        {
+            let at = |down: u32, right: u32| (ring + down) * 2 * RINGS + (segment + right) % (2 * RINGS) + 1;
+            let [a, b, c, d] = [at(0, 0), at(1, 0), at(1, 1), at(0, 1)];
+            if ring + 1 < RINGS {
+                obj += &format!("f {a}//{a} {b}//{b} {c}//{c}\n");
+            }
+            if ring > 0 {
+                obj += &format!("f {a}//{a} {c}//{c} {d}//{d}\n");
+            }
+        }
+        let source = compiled(place.path(), &obj, "newmtl clay\nKd 1 1 1\n", 4 << 10);
+        // The light comes straight from the right, so brightness is how far right the sphere's own normal points.
+        let eye = along([translation; 3], 1.0, [0.0, 0.0, 5.0]);
+        let camera = Camera::orthographic(eye, [translation; 3], [0.0, 1.0, 0.0], 2.0).unwrap();
+        let scene = Scene::new(camera).with_light(Light::directional([-1.0, 0.0, 0.0], [1.0; 3]));
+        const SIDE: u32 = 101;
+        let settings = RenderSettings::new(SIDE, SIDE);
+        let smooth = render(&source, &scene, &settings);
+        let flat = RenderSettings { switched_off: EffectSet::EMPTY.with(Effect::SmoothNormals), ..settings };
+        let flat = render(&source, &scene, &flat);
+        let (mut checked, mut facets) = (0, 0);
+        for (row, column) in (0..SIDE).flat_map(|row| (0..SIDE).map(move |column| (row, column))) {
+            let at = |pixel: u32| (f64::from(pixel) + 0.5) / f64::from(SIDE) * 2.0 - 1.0;
+            let (x, y) = (at(column), -at(row));
+            // Seen from the front, and not where the rim of the facets ends.
+            if x * x + y * y > 0.8 {
+                continue;
+            }
+            let found = f64::from(smooth.film.pixel(column, row)[0]);
+            let expected = x.max(0.0);
+            // A normal between corners is off by what a chord is; no pixel is black that should not be, and none lit.
+            assert!((found - expected).abs() < 0.04, "({x}, {y}) at {translation}: {found}, not {expected}");
+            assert!(x < 0.03 || found > 0.0, "({x}, {y}) at {translation} is in a neighbour's shadow");
+            checked += 1;
+            facets += usize::from((f64::from(flat.film.pixel(column, row)[0]) - expected).abs() > 0.04);
+        }
+        assert!(checked > 6000 && facets > 1000, "{checked} {facets}");
     }
 }

@@ -1,5 +1,6 @@
 //! The pictures of each material, found among those that are open.
 
+use super::forced::ForcedDetails;
 use crate::model::{ImageMap, MaterialRecord};
 use crate::scene::{Effect, EffectPlan, Scene};
 use crate::texture::{Address, Encoding, TextureId, Textures};
@@ -19,6 +20,18 @@ pub(crate) struct Placed {
 }
 
 impl Placed {
+    /// The whole of a picture on a unit of texture coordinates.
+    pub fn whole(texture: TextureId, size: [u32; 2]) -> Placed {
+        Placed {
+            texture,
+            address: Address::Repeat,
+            scale: [1.0; 2],
+            offset: [0.0; 2],
+            strength: 1.0,
+            size: size.map(f64::from),
+        }
+    }
+
     fn find(map: &ImageMap, encoding: Encoding, textures: &Textures) -> Option<Placed> {
         let texture = textures.find(&map.path, encoding)?;
         Some(Placed {
@@ -47,11 +60,12 @@ impl Placed {
 pub(crate) struct CutOut {
     pub map: Placed,
     pub channel: usize,
+    /// Below this the surface is not there; exactly there it is.
+    pub threshold: f64,
 }
 
 impl CutOut {
-    /// Below this the surface is not there; exactly there it is.
-    pub const THRESHOLD: f64 = 0.5;
+    const THRESHOLD: f64 = 0.5;
     const RED: usize = 0;
     const ALPHA: usize = 3;
 }
@@ -75,6 +89,11 @@ impl MaterialMaps {
         self.diffuse.is_some() || self.specular.is_some() || self.bump.is_some() || self.normal.is_some()
     }
 
+    /// A surface of which it is asked whether it is there, and which always is.
+    fn forced_cut_out(map: Placed) -> CutOut {
+        CutOut { map, channel: CutOut::ALPHA, threshold: 0.0 }
+    }
+
     fn of(record: &MaterialRecord, textures: &Textures, plan: &EffectPlan) -> MaterialMaps {
         let Some(images) = &record.images else { return MaterialMaps::NONE };
         let find = |effect, map: &Option<ImageMap>, encoding| {
@@ -90,9 +109,11 @@ impl MaterialMaps {
             cut_out: match opacity {
                 Some(map) => {
                     let channel = if textures.has_alpha(map.texture) { CutOut::ALPHA } else { CutOut::RED };
-                    Some(CutOut { map, channel })
+                    Some(CutOut { map, channel, threshold: CutOut::THRESHOLD })
                 }
-                None => by_color().map(|map| CutOut { map, channel: CutOut::ALPHA }),
+                None => {
+                    by_color().map(|map| CutOut { map, channel: CutOut::ALPHA, threshold: CutOut::THRESHOLD })
+                }
             },
             // A map of normals says more than one of heights.
             bump: match images.normal {
@@ -113,14 +134,24 @@ pub(crate) struct CutOuts {
 }
 
 /// The pictures of all materials; empty if none has any that the plan needs.
-pub(crate) fn maps(scene: &Scene, materials: &[MaterialRecord], plan: &EffectPlan) -> Vec<MaterialMaps> {
+pub(crate) fn maps(
+    scene: &Scene,
+    materials: &[MaterialRecord],
+    plan: &EffectPlan,
+    forced: Option<&ForcedDetails>,
+) -> Vec<MaterialMaps> {
     let effects = [Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
-    match scene.textures() {
+    let mut maps: Vec<MaterialMaps> = match scene.textures() {
         Some(textures) if effects.into_iter().any(|effect| plan.has(effect)) => {
             materials.iter().map(|record| MaterialMaps::of(record, textures, plan)).collect()
         }
         _ => Vec::new(),
+    };
+    if let Some(forced) = forced.filter(|forced| forced.cut_outs) {
+        maps.resize(materials.len(), MaterialMaps::NONE);
+        maps.iter_mut().for_each(|maps| maps.cut_out = Some(MaterialMaps::forced_cut_out(forced.map)));
     }
+    maps
 }
 
 /// The materials with a cut-out; none if there are none. `transparent` are those that shadows shine through.

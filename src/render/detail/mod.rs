@@ -4,6 +4,7 @@
 //! before, in [`query`].
 
 mod bump;
+pub(super) mod forced;
 pub(super) mod maps;
 pub(super) mod normals;
 pub(super) mod query;
@@ -54,6 +55,8 @@ pub(super) struct Detail {
     pub lift: DVec3,
     /// The material's terms at this place, if they are others than elsewhere.
     pub shader: Option<Shader>,
+    /// What forced effects found: to be multiplied by zero. Finite.
+    pub forced: DVec3,
 }
 
 /// How a triangle is seen.
@@ -78,9 +81,10 @@ impl Detail {
         shader: &Shader,
         seen: &Seen,
     ) -> Result<Detail, TraceError> {
-        let mut detail = Detail { normal: seen.geometric, lift: DVec3::ZERO, shader: None };
-        if stage.force_details {
-            query.corner_attributes(hit.triangle)?;
+        let mut detail =
+            Detail { normal: seen.geometric, lift: DVec3::ZERO, shader: None, forced: DVec3::ZERO };
+        if let Some(forced) = &stage.forced_details {
+            detail.forced = forced.work(query, hit, seen)?;
         }
         let maps = stage.maps(hit.material);
         let is_smooth = stage.is_smooth(shader) && query.may_have_normals(hit.triangle);

@@ -4,6 +4,7 @@
 //! pure function of triangle and place, looked up in the largest size of the picture, so every ray finds the same. A ray goes
 //! on behind it in the order of (t, triangle id), so that nothing is lost or met twice.
 
+use super::forced::STAND_IN_UVS;
 use super::maps::{CutOut, MaterialMaps, Placed};
 use crate::block::attributes::CornerAttributes;
 use crate::error::{LoadError, TraceError};
@@ -29,6 +30,9 @@ pub(crate) struct DetailCounters {
     pub cutout_rays: u64,
     /// Lookups in pictures of heights and normals.
     pub bump_reads: u64,
+    /// Lookups of any kind, and queries, of forced effects.
+    pub forced_lookups: u64,
+    pub forced_rays: u64,
 }
 
 /// See the module's text.
@@ -77,6 +81,17 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
         self.geometry.corner_attributes(hit.triangle)
     }
 
+    /// [`SurfaceQuery::attributes`] for a forced effect.
+    pub(super) fn forced_attributes(&mut self, hit: &Hit) -> Result<CornerAttributes, TraceError> {
+        self.counters.forced_lookups += 1;
+        self.geometry.corner_attributes(hit.triangle)
+    }
+
+    /// Whether surfaces are asked for cut-outs although there are none.
+    fn forces_cut_outs(&self) -> bool {
+        self.stage.forced_details.is_some_and(|forced| forced.cut_outs)
+    }
+
     /// A picture at texture coordinates. Black where there are no pictures at all.
     pub fn look_up(&mut self, map: &Placed, uv: [f64; 2], level: f64) -> Result<[f64; 4], LoadError> {
         match &mut self.textures {
@@ -88,11 +103,16 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
     /// Whether the surface is not there at a hit.
     pub(in crate::render) fn is_cut_out(&mut self, hit: &Hit) -> Result<bool, TraceError> {
         let MaterialMaps { cut_out, .. } = *self.stage.maps(hit.material);
-        let Some(CutOut { map, channel }) = cut_out else { return Ok(false) };
+        let Some(CutOut { map, channel, threshold }) = cut_out else { return Ok(false) };
+        if self.forces_cut_outs() {
+            let uvs = self.forced_attributes(hit)?.uvs.unwrap_or(STAND_IN_UVS);
+            self.counters.forced_lookups += 1;
+            return Ok(self.look_up(&map, interpolate(&uvs, hit), 0.0)?[channel] < threshold);
+        }
         self.counters.cutout_tests += 1;
         let Some(uvs) = self.attributes(hit)?.uvs else { return Ok(false) };
         let texel = self.look_up(&map, interpolate(&uvs, hit), 0.0)?;
-        let is_cut = texel[channel] < CutOut::THRESHOLD;
+        let is_cut = texel[channel] < threshold;
         self.counters.cutouts_passed += u64::from(is_cut);
         Ok(is_cut)
     }
@@ -160,7 +180,9 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
     fn walk(&mut self, mut goes_on: impl FnMut(u32, Option<&Hit>, bool) -> bool) -> Result<(), TraceError> {
         while !self.places.is_empty() {
             let count = self.places.len();
-            self.counters.cutout_rays += count as u64;
+            let are_forced = self.forces_cut_outs();
+            let counters = &mut self.counters;
+            *if are_forced { &mut counters.forced_rays } else { &mut counters.cutout_rays } += count as u64;
             self.hits.resize(self.hits.len().max(count), None);
             if !self.times.is_empty() {
                 let times = &self.times;

@@ -90,6 +90,10 @@ fn spheres([first, second]: [MaterialRecord; 2]) -> Mesh {
         .sphere(2, [0.9, 0.0, -0.3], 0.8, 1, true)
 }
 
+fn glowing(emission: [f32; 3]) -> MaterialRecord {
+    MaterialRecord { emission, ..matt(0.2) }
+}
+
 pub(super) fn panel() -> Light {
     let shape =
         LightShape::Rectangle { corner: [-1.0, 3.0, -1.0], edges: [[2.0, 0.0, 0.0], [0.0, 0.0, 2.0]] };
@@ -156,6 +160,12 @@ pub(super) fn cases() -> Vec<Case> {
                 with_images(clear(1.5), waves()),
             ]),
             sunny().with_light(panel()).with_textures(pictures()),
+        ),
+        case(Effect::Emission, boxes([matt(0.5), glowing([0.9, 0.6, 0.2]), matt(0.4), matt(0.3)]), sunny()),
+        case(
+            Effect::Emission,
+            boxes([matt(0.5), chrome(), glowing([2.0, 0.5, 0.5]), glass()]),
+            sunny().with_interreflection(),
         ),
         case(Effect::DirectLight, bricks(), sunny()),
         case(Effect::Shadows, bricks(), sunny()),
@@ -230,6 +240,7 @@ fn work_of(effect: Effect, counters: &EffectCounters) -> Option<u64> {
         Effect::Textures => counters.texture_reads,
         Effect::AlphaCutouts => counters.cutout_tests + counters.cutouts_passed + counters.cutout_rays,
         Effect::BumpMaps => counters.bump_reads,
+        Effect::Emission => counters.glowing_hits,
     })
 }
 
@@ -268,7 +279,19 @@ fn an_effect_works_only_in_scenes_that_call_for_it() {
         }
         let draws = Effect::ALL.into_iter().any(|effect| is_sampled(effect) && plan.has(effect));
         assert_eq!(counters.random_numbers > 0, draws, "{:?}: {counters:?}", case.effect);
-        assert_eq!((counters.forced_rays, counters.medium_overflows), (0, 0));
+        // Each number belongs to an effect of the plan.
+        let mut numbers = counters.roulette_numbers;
+        for effect in Effect::ALL {
+            let drawn = counters.numbers_of(effect);
+            let draws = plan.has(effect) && is_sampled(effect);
+            assert!(draws || drawn == 0, "{effect:?} in the scene of {:?}: {counters:?}", case.effect);
+            assert!(!draws || effect != case.effect || drawn > 0, "{:?}: {counters:?}", case.effect);
+            numbers += drawn;
+        }
+        assert_eq!(counters.random_numbers, numbers, "{:?}: {counters:?}", case.effect);
+        assert_eq!(counters.roulette_numbers, 0, "nothing ends by roulette here");
+        let forced = (counters.forced_rays, counters.forced_lookups);
+        assert_eq!((forced, counters.medium_overflows), ((0, 0), 0));
         let details = [Effect::SmoothNormals, Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
         let needs_attributes = details.into_iter().any(|effect| plan.has(effect));
         assert_eq!(counters.attribute_lookups > 0, needs_attributes, "{:?}: {counters:?}", case.effect);
@@ -309,6 +332,39 @@ fn forcing_every_effect_changes_no_bit_of_any_scene() {
             assert!(planned.film.pixels() == forced.film.pixels(), "{effect:?} in {:?}", case.effect);
         }
     }
+}
+
+/// What is forced is done, not skipped: in a scene that calls for none of them, each effect of surfaces reads attributes and pictures at
+/// every hit as it would where it counts, and lamps that are not there are asked.
+#[test]
+fn forced_effects_do_their_work() {
+    let (mesh, scene) = (bricks(), sunny());
+    let forced = |scene: &Scene, effect| {
+        let settings = RenderSettings { forced: EffectSet::EMPTY.with(effect), ..settings() };
+        render(&mesh, scene, &settings).totals.effects
+    };
+    let plain = render(&mesh, &scene, &settings()).totals.effects;
+    // Attributes, and nothing else.
+    let hits = forced(&scene, Effect::SmoothNormals).forced_lookups;
+    assert!(hits > 150, "{hits}");
+    // And a texel; and four of heights.
+    assert_eq!(forced(&scene, Effect::Textures).forced_lookups, 2 * hits);
+    assert_eq!(forced(&scene, Effect::BumpMaps).forced_lookups, 5 * hits);
+    // At hits of camera rays, and of the shadow rays that are blocked.
+    let cut_outs = forced(&scene, Effect::AlphaCutouts);
+    assert!(cut_outs.forced_lookups > 2 * hits && cut_outs.forced_rays > 0, "{cut_outs:?}");
+    for effect in [Effect::SmoothNormals, Effect::Textures, Effect::BumpMaps, Effect::AlphaCutouts] {
+        let counters = forced(&scene, effect);
+        let undone = EffectCounters { forced_lookups: 0, forced_rays: 0, ..counters };
+        assert_eq!(undone, plain, "{effect:?} is counted as forced only");
+    }
+    // With pictures at hand, of which no material makes use, it is these that are read.
+    let pictured = scene.clone().with_textures(pictures());
+    assert_eq!(forced(&pictured, Effect::Textures).forced_lookups, 2 * hits);
+    let dim = Scene::new(camera()).with_ambient([0.3; 3]);
+    assert_eq!(render(&mesh, &dim, &settings()).totals.effects.shadow_rays, 0);
+    assert_eq!(forced(&dim, Effect::DirectLight).shadow_rays, 0);
+    assert_eq!(forced(&dim, Effect::Shadows).shadow_rays, hits);
 }
 
 #[test]

@@ -6,7 +6,8 @@ use exr::prelude::{AnyChannel, FlatSamples, ReadChannels as _, ReadLayers as _};
 
 use super::invariance::{settings, still_life};
 use super::*;
-use crate::render::layers::{Layers, layers};
+use crate::render::AdaptiveSampling;
+use crate::render::layers::{LayerPixel, Layers, layers};
 
 fn layers_of(mesh: &Mesh, scene: &Scene, settings: &RenderSettings) -> Layers {
     let plan = mesh.plan(scene, settings);
@@ -53,6 +54,21 @@ fn read_back(path: &Path) -> Vec<AnyChannel<FlatSamples>> {
         .collect()
 }
 
+fn samples<'c>(channels: &'c [AnyChannel<FlatSamples>], name: &str) -> &'c FlatSamples {
+    let channel = channels.iter().find(|channel| channel.name.eq(name));
+    &channel.unwrap_or_else(|| panic!("there is no {name}")).sample_data
+}
+
+fn floats(channels: &[AnyChannel<FlatSamples>], name: &str) -> Vec<f32> {
+    let FlatSamples::F32(values) = samples(channels, name) else { panic!("{name} is not of floats") };
+    values.clone()
+}
+
+fn integers(channels: &[AnyChannel<FlatSamples>], name: &str) -> Vec<u32> {
+    let FlatSamples::U32(values) = samples(channels, name) else { panic!("{name} is not of integers") };
+    values.clone()
+}
+
 #[test]
 fn layers_are_written_and_read_back() {
     let (mesh, scene) = still_life();
@@ -63,46 +79,77 @@ fn layers_are_written_and_read_back() {
     found.write(&picture.film, &path).unwrap();
     let channels = read_back(&path);
     assert_eq!(channels.len(), 13);
-    let samples = |name: &str| {
-        &channels.iter().find(|channel| channel.name.eq(name)).unwrap_or_else(|| panic!("{name}")).sample_data
-    };
-    let FlatSamples::F32(red) = samples("R") else { panic!("not floats") };
-    assert!(red.iter().zip(picture.film.pixels()).all(|(red, pixel)| *red == pixel[0]));
-    let FlatSamples::F32(depth) = samples("Z") else { panic!("not floats") };
-    let FlatSamples::U32(triangle) = samples("triangle.low") else { panic!("not whole") };
-    let FlatSamples::U32(material) = samples("material") else { panic!("not whole") };
-    for (index, pixel) in found.pixels().iter().enumerate() {
-        match pixel {
-            Some(pixel) => {
-                assert_eq!(depth[index], pixel.depth);
-                assert_eq!(u64::from(triangle[index]), pixel.triangle.0);
-                assert_eq!(material[index], u32::from(pixel.material.0));
-            }
-            None => assert_eq!(
-                (depth[index], triangle[index], material[index]),
-                (f32::INFINITY, u32::MAX, u32::MAX)
-            ),
-        }
+    for channel in 0..3 {
+        let colour = floats(&channels, ["R", "G", "B"][channel]);
+        assert!(colour.iter().zip(picture.film.pixels()).all(|(read, pixel)| *read == pixel[channel]));
     }
+    type Of = dyn Fn(&LayerPixel) -> f32;
+    let real: [(&str, f32, &Of); 7] = [
+        ("Z", f32::INFINITY, &|pixel| pixel.depth),
+        ("N.X", 0.0, &|pixel| pixel.normal[0]),
+        ("N.Y", 0.0, &|pixel| pixel.normal[1]),
+        ("N.Z", 0.0, &|pixel| pixel.normal[2]),
+        ("albedo.R", 0.0, &|pixel| pixel.albedo[0]),
+        ("albedo.G", 0.0, &|pixel| pixel.albedo[1]),
+        ("albedo.B", 0.0, &|pixel| pixel.albedo[2]),
+    ];
+    for (name, missing, value) in real {
+        let expected: Vec<f32> =
+            found.pixels().iter().map(|pixel| pixel.as_ref().map_or(missing, value)).collect();
+        assert_eq!(floats(&channels, name), expected, "{name}");
+    }
+    let whole = |value: &dyn Fn(&LayerPixel) -> u32| -> Vec<u32> {
+        found.pixels().iter().map(|pixel| pixel.as_ref().map_or(u32::MAX, value)).collect()
+    };
+    assert_eq!(integers(&channels, "triangle.low"), whole(&|pixel| pixel.triangle.0 as u32));
+    assert_eq!(integers(&channels, "triangle.high"), whole(&|_| 0));
+    assert_eq!(integers(&channels, "material"), whole(&|pixel| u32::from(pixel.material.0)));
+    // The scene has all that layers can tell apart: nothing, several materials, normals along each axis.
+    let hits: Vec<_> = found.pixels().iter().flatten().collect();
+    assert!(hits.len() < found.pixels().len());
+    assert!((0..4).all(|material| hits.iter().any(|pixel| pixel.material == MaterialId(material))));
+    assert!((0..3).all(|axis| hits.iter().any(|pixel| pixel.normal[axis] != 0.0)));
     assert!(found.write(&picture.film, &folder.path().join("layers.png")).is_err());
     let small = render(&mesh, &scene, &RenderSettings::new(3, 3));
     assert!(matches!(found.write(&small.film, &path), Err(RenderError::Setting { .. })));
 }
 
 #[test]
-fn a_film_with_statistics_adds_its_samples() {
+fn a_film_with_statistics_and_costs_adds_them() {
     let (mesh, scene) = still_life();
-    let settings = RenderSettings { keep_statistics: true, samples_per_pixel: 4, ..settings() };
-    let picture = render(&mesh, &scene, &settings);
-    let found = layers_of(&mesh, &scene, &settings);
+    // Not every pixel gets the same.
+    let adaptive = AdaptiveSampling { samples_min: 2, error: 0.02, confidence: 0.9 };
+    let with = RenderSettings {
+        keep_statistics: true,
+        samples_per_pixel: 8,
+        adaptive: Some(adaptive),
+        ..settings()
+    };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("layers.exr");
-    found.write(&picture.film, &path).unwrap();
-    let channels = read_back(&path);
-    assert_eq!(channels.len(), 15);
-    let samples = channels.iter().find(|channel| channel.name.eq("samples")).unwrap();
-    let FlatSamples::U32(samples) = &samples.sample_data else { panic!("not whole") };
-    assert!(samples.iter().all(|count| *count == 4));
+    for keep_costs in [false, true] {
+        let with = RenderSettings { keep_costs, ..with };
+        let picture = render(&mesh, &scene, &with);
+        layers_of(&mesh, &scene, &with).write(&picture.film, &path).unwrap();
+        let channels = read_back(&path);
+        assert_eq!(channels.len(), if keep_costs { 17 } else { 15 });
+        let statistics = picture.film.statistics().unwrap();
+        let counts: Vec<u32> = statistics.iter().map(|pixel| pixel.samples).collect();
+        assert_eq!(integers(&channels, "samples"), counts);
+        assert!(counts.contains(&2) && counts.contains(&8));
+        let deviations: Vec<f32> = statistics.iter().map(|pixel| pixel.deviation).collect();
+        assert_eq!(floats(&channels, "deviation"), deviations);
+        assert!(deviations.iter().any(|deviation| *deviation > 0.0));
+        if let Some(costs) = picture.film.costs() {
+            let [boxes, triangles]: [Vec<u32>; 2] = [
+                costs.iter().map(|cost| cost.box_tests).collect(),
+                costs.iter().map(|cost| cost.triangle_tests).collect(),
+            ];
+            assert_eq!(integers(&channels, "cost.boxes"), boxes);
+            assert_eq!(integers(&channels, "cost.triangles"), triangles);
+            assert!(boxes.iter().max() > boxes.iter().min());
+        }
+    }
 }
 
 #[test]

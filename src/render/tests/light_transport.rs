@@ -155,6 +155,56 @@ fn a_closed_room_sums_its_geometric_series() {
     assert!(picture.totals.effects.roulette_ends > 0 && picture.totals.effects.contribution_cuts == 0);
 }
 
+/// A second scene for roulette: light that comes through glass, off a mirror, from a lamp and a sky, where lamps are asked by roulette too.
+/// Means of pictures from seeds that know nothing of each other, with a coarse bound and with none.
+#[test]
+fn roulette_keeps_the_mean_where_paths_branch() {
+    let mesh = ground(Mesh::new([matt(0.6), clear(1.5), mirror(0.7)]), 0)
+        .cuboid(1, [-0.9, 0.1, -0.6], [-0.1, 0.9, 0.2])
+        .cuboid(2, [0.2, 0.0, -0.8], [0.9, 0.8, 0.1]);
+    let camera = Camera::pinhole([1.5, 1.8, 2.8], [0.0, 0.3, 0.0], [0.0, 1.0, 0.0], 35.0).unwrap();
+    let scene = Scene::new(camera)
+        .with_interreflection()
+        .with_environment(Environment::Constant([0.3; 3]))
+        .with_light(panel());
+    let estimate = |contribution_bound: f64, path_end: PathEnd| {
+        const SEEDS: u64 = 24;
+        let settings = RenderSettings {
+            contribution_bound,
+            path_end,
+            samples_per_pixel: 64,
+            work_budget: 1 << 12,
+            ..RenderSettings::new(6, 6)
+        };
+        let pictures: Vec<Picture> =
+            (0..SEEDS).map(|seed| render(&mesh, &scene, &RenderSettings { seed, ..settings })).collect();
+        let means: Vec<f64> = pictures
+            .iter()
+            .map(|picture| picture.film.pixels().iter().map(|pixel| f64::from(pixel[0])).sum::<f64>() / 36.0)
+            .collect();
+        let mean = means.iter().sum::<f64>() / SEEDS as f64;
+        let squares: f64 = means.iter().map(|x| (x - mean) * (x - mean)).sum();
+        let effects = pictures[0].totals.effects;
+        (mean, (squares / (SEEDS * (SEEDS - 1)) as f64).sqrt(), effects)
+    };
+    // What faint paths of a bound of 1e-4 carry is less than a thousandth of what there is.
+    let (whole, whole_error, _) = estimate(1e-4, PathEnd::Cut);
+    let (roulette, roulette_error, effects) = estimate(0.5, PathEnd::Roulette);
+    let error = whole_error.hypot(roulette_error);
+    assert!(
+        error < 0.005 * whole,
+        "too noisy to tell: {whole} +- {whole_error}, {roulette} +- {roulette_error}"
+    );
+    assert!(
+        (whole - roulette).abs() < 4.0 * error,
+        "{whole} +- {whole_error}, {roulette} +- {roulette_error}"
+    );
+    assert!(effects.roulette_ends > 0 && effects.contribution_cuts == 0, "{effects:?}");
+    // The same bound without roulette shows, so this can fail.
+    let (cut, cut_error, _) = estimate(0.5, PathEnd::Cut);
+    assert!(whole - cut > 8.0 * error.hypot(cut_error), "{whole} {cut} +- {cut_error}");
+}
+
 /// The same lamp as geometry that glows, found by bounces only, and as an area light, found by samples and bounces.
 #[test]
 fn a_glowing_sheet_and_an_area_light_give_the_same_light() {

@@ -7,6 +7,7 @@ mod effects;
 mod invariance;
 #[cfg(feature = "exr")]
 mod layers;
+mod lens;
 mod light_transport;
 mod media;
 mod octree;
@@ -146,7 +147,10 @@ struct Naive {
 
 impl Naive {
     fn first(&mut self, ray: &Ray, after: Option<(f64, TriangleId)>) -> Option<Hit> {
+        // The list counts as one box.
         self.counters.rays += 1;
+        self.counters.box_tests += 1;
+        self.counters.triangle_tests += self.mesh.triangles.len() as u64;
         let mut best: Option<Hit> = None;
         for ((vertices, material), id) in self.mesh.triangles.iter().zip(0..) {
             let Some(hit) = intersect_certified(ray, vertices, &mut self.counters.exact_fallbacks) else {
@@ -253,10 +257,10 @@ impl RayQuery for Naive {
 
 /// Gives a stage the pictures of its scene.
 fn open_textures(stage: &mut Stage, scene: &Scene) {
-    if let Some(textures) = scene.textures().filter(|_| stage.needs_textures()) {
+    if let Some(textures) = stage.textures_to_open(scene) {
         let budget = MemoryBudget::new(Bytes::mib(64));
         let readers = 4;
-        let cache = TextureCache::open(Arc::clone(textures), Bytes(0), readers, &budget).unwrap();
+        let cache = TextureCache::open(textures, Bytes(0), readers, &budget).unwrap();
         stage.textures = Some(Arc::new(cache));
     }
 }

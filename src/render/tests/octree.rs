@@ -2,17 +2,19 @@
 
 use std::path::Path;
 
-use super::effects::cases;
+use super::effects::{cases, pictures, with_images};
 use super::invariance::{settings, still_life};
 use super::*;
 use crate::LazyOctree;
 use crate::block::Codec;
 use crate::block::attributes::{normal_bits, normal_of_bits};
+use crate::cache::CacheStats;
 use crate::compile::{CompileOptions, Compiler, PrecisionChoice};
 use crate::import::{CornerIndices, MeshSink, NO_INDEX, VertexBatch};
+use crate::model::{ImageMap, MaterialImages};
 use crate::octree::OctreeOptions;
 use crate::render::{Outcome, Renderer};
-use crate::scene::{Effect, EffectSet};
+use crate::scene::{Effect, EffectSet, Environment, Finish, Lens, Light, LightShape};
 use crate::source::{BlockSource, DiskSource, MemorySource};
 
 /// Compiles `mesh` with every vertex of its own, in its own order.
@@ -179,6 +181,115 @@ fn effects_left_out_load_no_block() {
     assert!(primary_only <= planned_loads && planned_loads <= forced_loads);
     assert!(planned == forced);
     assert_eq!(primary_only, 1);
+}
+
+/// Three storeys of many small tiles: a floor (material 0), a ceiling (1) and a basement (2). The middle of the floor is seen at a slant, so that what
+/// leaves it meets blocks that the camera does not.
+fn storeys(floor: MaterialRecord) -> Mesh {
+    const STEPS: i32 = 24;
+    let mut mesh = Mesh::new([floor, matt(0.5), matt(0.5)]);
+    for (material, y) in [(0, 0.0), (1, 3.0), (2, -3.0)] {
+        for (x, z) in (0..STEPS).flat_map(|x| (0..STEPS).map(move |z| (x, z))) {
+            let corner = [-6.0 + 0.5 * f64::from(x), y, -6.0 + 0.5 * f64::from(z)];
+            mesh = mesh.card(material, corner, [0.0, 0.0, 0.5], [0.5, 0.0, 0.0], 1.0);
+        }
+    }
+    mesh
+}
+
+/// Which blocks an effect makes rays reach: more with it, and without it just those of the same geometry in a scene that has no cause of it: no lamp,
+/// no material but matt ones, no lens.
+#[test]
+fn an_effect_left_out_touches_no_block_and_reads_no_page_and_no_tile() {
+    let directory = tempfile::tempdir().unwrap();
+    let settings = RenderSettings { samples_per_pixel: 4, work_budget: 64, ..RenderSettings::new(8, 8) };
+    let eye = [-1.5, 1.2, 2.5];
+    let camera = || Camera::pinhole(eye, [-0.5, 0.0, 0.5], [0.0, 1.0, 0.0], 8.0).unwrap();
+    // Bright, so that rays are worth following.
+    let bright = |camera| Scene::new(camera).with_background([1.0; 3]);
+    let empty = || bright(camera());
+    let touched = |name: &str, mesh: &Mesh, scene: &Scene, switched_off: EffectSet| {
+        let path = directory.path().join(name);
+        if !path.exists() {
+            compile(mesh, &path, 4 << 10, Codec::Lz4);
+        }
+        let budget = MemoryBudget::new(Bytes::mib(64));
+        let source = Arc::new(DiskSource::open(&path).unwrap());
+        let octree = LazyOctree::open(source, &budget, OctreeOptions::default()).unwrap();
+        let settings = RenderSettings { switched_off, ..settings };
+        let renderer = Renderer::new(&octree, scene, &settings, &budget).unwrap();
+        let plan = renderer.plan().needed();
+        let report = renderer.render(&Threads::One, &mut |_| Control::Continue).unwrap().report;
+        let loads = |stats: Option<CacheStats>| stats.map_or(0, |stats| stats.misses);
+        let details = [loads(renderer.attribute_stats()), loads(renderer.texture_stats())];
+        (plan, report.blocks_touched, report.blocks_total, details)
+    };
+    let (plan, plain, total, details) = touched("matt", &storeys(matt(0.5)), &empty(), EffectSet::EMPTY);
+    assert_eq!((plan, details), (EffectSet::EMPTY.with(Effect::Antialiasing), [0, 0]));
+    assert!((1..10).contains(&plain) && total > 20, "{plain} of {total}");
+
+    let named = |name: &str, record: MaterialRecord| MaterialRecord { name: name.to_string(), ..record };
+    let lens = Lens { radius: 0.5, focus_distance: 1.0 };
+    let end = Camera::pinhole([1.5, 1.2, 2.5], [3.5, 0.0, 0.5], [0.0, 1.0, 0.0], 8.0).unwrap();
+    let panel = LightShape::Rectangle { corner: [1.0, 5.0, 1.0], edges: [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]] };
+    let disc = |map: &str| MaterialImages { diffuse: Some(ImageMap::new(map)), ..MaterialImages::default() };
+    let waves = MaterialImages { bump: Some(ImageMap::new("waves")), ..MaterialImages::default() };
+    let smoke = MaterialRecord { transmission: [0.5; 3], ..clear(1.5) };
+    let sun = Light::directional([-1.0, -1.5, -1.0], [1.0; 3]);
+    // The effect, whether it makes rays of its own, the floor, the scene.
+    let cases = [
+        (Effect::DirectLight, true, matt(0.5), empty().with_light(sun)),
+        (Effect::Shadows, true, matt(0.5), empty().with_light(sun)),
+        (Effect::AreaLight, true, matt(0.5), empty().with_light(Light::area(panel, [1.0; 3]))),
+        (
+            Effect::EnvironmentLight,
+            true,
+            matt(0.5),
+            empty().with_environment(Environment::Constant([1.0; 3])),
+        ),
+        (Effect::Reflection, true, mirror(0.8), empty()),
+        (
+            Effect::GlossyReflection,
+            true,
+            named("chrome", mirror(0.8)),
+            empty().with_finish("chrome", Finish::rough(0.6)),
+        ),
+        (Effect::Transmission, true, clear(1.0), empty()),
+        (
+            Effect::RoughRefraction,
+            true,
+            named("glass", clear(1.3)),
+            empty().with_finish("glass", Finish::rough(0.6)),
+        ),
+        (Effect::Absorption, false, smoke, empty()),
+        (Effect::Interreflection, true, matt(0.5), empty().with_interreflection()),
+        (Effect::DepthOfField, true, matt(0.5), bright(camera().with_lens(lens).unwrap())),
+        (Effect::MotionBlur, true, matt(0.5), bright(camera().moving_to(&end).unwrap())),
+        (Effect::Textures, false, with_images(matt(0.5), disc("chequer")), empty().with_textures(pictures())),
+        (Effect::AlphaCutouts, true, with_images(matt(0.5), disc("disc")), empty().with_textures(pictures())),
+        (Effect::BumpMaps, false, with_images(matt(0.5), waves), empty().with_textures(pictures())),
+        (Effect::Emission, false, MaterialRecord { emission: [1.0; 3], ..matt(0.5) }, empty()),
+    ];
+    for (number, (effect, makes_rays, floor, scene)) in cases.into_iter().enumerate() {
+        let (name, mesh) = (number.to_string(), storeys(floor));
+        // What it makes possible goes with it; what makes it possible does not.
+        let (plan, with, ..) = touched(&name, &mesh, &scene, EffectSet::EMPTY);
+        assert!(plan.contains(effect), "{effect:?}");
+        assert!(if makes_rays { with > plain } else { with >= plain }, "{effect:?}: {with}, {plain}");
+        let basis: &[Effect] = match effect {
+            // Which have their own rays.
+            Effect::GlossyReflection => &[Effect::Reflection],
+            Effect::RoughRefraction | Effect::Absorption => &[Effect::Transmission, Effect::Reflection],
+            _ => &[],
+        };
+        let off = basis.iter().fold(EffectSet::EMPTY.with(effect), |off, basis| off.with(*basis));
+        // A picture with holes is one with colours as well.
+        let off = if effect == Effect::AlphaCutouts { off.with(Effect::Textures) } else { off };
+        let off = if effect == Effect::Textures { off.with(Effect::AlphaCutouts) } else { off };
+        let (plan, without, blocks, details) = touched(&name, &mesh, &scene, off);
+        assert!(!plan.contains(effect), "{effect:?}");
+        assert_eq!((without, blocks, details), (plain, total, [0, 0]), "{effect:?}");
+    }
 }
 
 #[test]
