@@ -11,14 +11,13 @@ use super::document::Opened;
 use crate::error::ImportError;
 use crate::model::{ImageMap, MaterialImages, MaterialRecord};
 
-/// Metals smoother than this mirror the scene; rougher ones only have a highlight.
-const MIRROR_ROUGHNESS_MAX: f32 = 0.25;
-
-/// The material nearest to `material`. Of its textures those of base colour and normals are named, if they are files.
+/// The material nearest to `material`. Of its textures those of base colour and normals are named.
 ///
 /// With base colour `c`, metalness `m`, roughness `r`, transmission `T` and refractive index `n` (appendix B of the
 /// specification): `Kd = c (1 - m) (1 - T)`, `Ks = f (1 - m) + c m` with `f = ((n - 1) / (n + 1))^2`, the Phong exponent is
-/// `2 / r^4 - 2`, opacity is `1 - T` or, if blended, alpha.
+/// `2 / r^4 - 2`, opacity is `1 - T` or, if blended, alpha. Roughness is the file's: perceptual, `alpha = r^2`, as that of the compiled file is. Metals
+/// (`m` above one half) mirror the scene by it and what refracts is frosted by it. Other dielectrics reflect by Fresnel, 4 % where they are faced:
+/// they have a highlight of that strength and mirror nothing, so that matt things take no ray for the rest.
 pub(super) fn record(
     opened: &Opened,
     material: &Material<'_>,
@@ -72,7 +71,8 @@ pub(super) fn record(
         transmission: through,
         // What does not bend light has 1 in MTL.
         refractive_index: if transmission > 0.0 { refractive_index } else { 1.0 },
-        mirror: metallic > 0.5 && roughness <= MIRROR_ROUGHNESS_MAX,
+        mirror: metallic > 0.5,
+        roughness,
         images: (images != MaterialImages::default()).then(|| Box::new(images)),
     };
     let numbers = [record.diffuse, record.specular, record.emission, record.transmission];

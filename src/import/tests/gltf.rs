@@ -257,6 +257,18 @@ fn materials_become_those_of_mtl() {
         (gold.specular, gold.diffuse, gold.mirror, gold.opacity),
         ([1.0, 0.75, 0.25], [0.0; 3], true, 1.0)
     );
+    assert_eq!((gold.roughness, glass.roughness), (0.1, 0.0));
+    // Rough metals mirror too; what is no metal has a highlight, and glass is frosted.
+    let rough = |metallic: f32, roughness: f32| {
+        let mut sample = sample.with("/materials/2/pbrMetallicRoughness/metallicFactor", json!(metallic));
+        sample.document["materials"][2]["pbrMetallicRoughness"]["roughnessFactor"] = json!(roughness);
+        let record = sample.import().unwrap().0.materials.remove(0);
+        (record.mirror, record.roughness)
+    };
+    assert_eq!([rough(1.0, 0.5), rough(0.75, 1.0)], [(true, 0.5), (true, 1.0)]);
+    assert_eq!(rough(0.25, 0.5), (false, 0.5));
+    // Beyond what the format allows.
+    assert_eq!([rough(1.0, 7.0), rough(1.0, -1.0)], [(true, 1.0), (true, 0.0)]);
 }
 
 #[test]
