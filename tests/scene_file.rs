@@ -115,7 +115,7 @@ fn every_documented_key_is_read() {
             up: [0.0, 0.0, 1.0],
             front: [0.0, 1.0, 0.0],
         })
-        .with_finish("blue glass", Finish { roughness: 0.3, priority: Some(2) });
+        .with_finish("blue glass", Finish { roughness: Some(0.3), priority: Some(2) });
     assert_eq!(scene, expected);
     assert_eq!(scene.lights(), lights);
     let glass = MaterialRecord { name: "blue glass".to_string(), ..MaterialRecord::default() };

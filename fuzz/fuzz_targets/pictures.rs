@@ -1,4 +1,5 @@
-//! Any bytes as a picture: of the surroundings (Radiance, OpenEXR) or of a texture (PNG, JPEG). The first byte says as which.
+//! Any bytes as a picture: of the surroundings (Radiance, OpenEXR) or of a texture (PNG, JPEG, either also as base64 text in a document). The first byte
+//! says as which.
 #![no_main]
 
 use std::fs;
@@ -25,7 +26,11 @@ fuzz_target!(|input: &[u8]| {
         }
         return;
     }
-    let images = MaterialImages { diffuse: Some(ImageMap::new(name)), ..MaterialImages::default() };
+    let map = match kind & 4 {
+        0 => ImageMap::new(name),
+        _ => ImageMap::base64_inside(name, 0..bytes.len() as u64),
+    };
+    let images = MaterialImages { diffuse: Some(map), ..MaterialImages::default() };
     let material = MaterialRecord { images: Some(Box::new(images)), ..MaterialRecord::default() };
     let tiles = folder.path().join("fuzz.tiles");
     if let Ok(textures) = Textures::open(&[material], folder.path(), &tiles, &budget) {

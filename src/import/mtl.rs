@@ -173,7 +173,7 @@ impl Block {
     /// Adds a statement of a kind that is used; gives a reason if its shape is wrong.
     fn statement(&mut self, keyword: &[u8], rest: &[u8], line: u64) -> Option<String> {
         const COLORS: [&str; 4] = ["Kd", "Ks", "Ke", "Tf"];
-        const NUMBERS: [&str; 5] = ["Ns", "Ni", "d", "Tr", "illum"];
+        const NUMBERS: [&str; 6] = ["Ns", "Ni", "d", "Tr", "Pr", "illum"];
         let known = |names: &[&'static str]| names.iter().find(|name| name.as_bytes() == keyword).copied();
         let mut arguments = words(rest).filter(|word| *word != b"-halo");
         if arguments.clone().any(|word| word.len() > WORD_BYTES_MAX) {
@@ -270,6 +270,9 @@ fn record(name: String, material: tobj::Material) -> (MaterialRecord, Vec<String
     let shininess = value("Ns", material.shininess, defaults.shininess, [0.0, f32::MAX]);
     // Below 1, and 0 above all, stands for "no refraction".
     let refractive_index = value("Ni", material.optical_density, 1.0, [1.0, f32::MAX]);
+    // Of the extension for physically based materials; perceptual, as in glTF.
+    let roughness = other("Pr").map(|text| text.parse().unwrap_or(f32::NAN));
+    let roughness = value("Pr", roughness, defaults.roughness, [0.0, 1.0]);
     // 3 to 9 reflect; 10 only casts shadows.
     let mirror = matches!(material.illumination_model, Some(3..=9));
     let record = MaterialRecord {
@@ -282,6 +285,7 @@ fn record(name: String, material: tobj::Material) -> (MaterialRecord, Vec<String
         transmission,
         refractive_index,
         mirror,
+        roughness,
         images: None,
     };
     (record, reasons)

@@ -10,7 +10,7 @@ use crate::error::ModelError;
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageMap {
     /// The image file; a relative path starts from the model's folder. An image that is a part of a file has its place behind the file's name:
-    /// see [`ImageMap::inside`].
+    /// see [`ImageMap::inside`] and [`ImageMap::base64_inside`].
     pub path: String,
     /// Texture coordinates are multiplied by this (`-s`),
     pub scale: [f32; 2],
@@ -35,19 +35,39 @@ impl ImageMap {
         ImageMap::new(format!("{file}{PLACE}{}+{length}", place.start))
     }
 
-    /// The file of a path, and where in it the image is, if it is only a part.
-    pub fn file_of(path: &str) -> (&str, Option<Range<u64>>) {
-        let place = path.rsplit_once(PLACE).and_then(|(file, place)| {
-            let (start, length) = place.split_once('+')?;
-            let start: u64 = start.parse().ok()?;
-            Some((file, start..start.checked_add(length.parse().ok()?)?))
-        });
-        place.map_or((path, None), |(file, place)| (file, Some(place)))
+    /// [`ImageMap::new`] for an image whose bytes stand as base64 text in a JSON string of a file, as in `.gltf` files: the bytes `place` of it, without
+    /// the quotes. In [`ImageMap::path`] that is `FILE#base64=START+LENGTH`; behind that may come the place inside what the text says, as of
+    /// [`ImageMap::inside`].
+    pub fn base64_inside(file: &str, place: Range<u64>) -> ImageMap {
+        let length = place.end.saturating_sub(place.start);
+        ImageMap::new(format!("{file}{TEXT_PLACE}{}+{length}", place.start))
     }
+
+    /// The file of a path, and where in it the image is, if it is only a part. If the file is itself a text in a file, see [`ImageMap::text_of`].
+    pub fn file_of(path: &str) -> (&str, Option<Range<u64>>) {
+        split_place(path, PLACE)
+    }
+
+    /// The file of a path that [`ImageMap::file_of`] gave, and where in it the base64 text is that stands for it, if one does.
+    pub fn text_of(path: &str) -> (&str, Option<Range<u64>>) {
+        split_place(path, TEXT_PLACE)
+    }
+}
+
+fn split_place<'p>(path: &'p str, mark: &str) -> (&'p str, Option<Range<u64>>) {
+    let place = path.rsplit_once(mark).and_then(|(file, place)| {
+        let (start, length) = place.split_once('+')?;
+        let start: u64 = start.parse().ok()?;
+        Some((file, start..start.checked_add(length.parse().ok()?)?))
+    });
+    place.map_or((path, None), |(file, place)| (file, Some(place)))
 }
 
 /// Between a file and the place of an image in it.
 const PLACE: &str = "#bytes=";
+
+/// Between a file and the place of a base64 text in it.
+const TEXT_PLACE: &str = "#base64=";
 
 /// The pictures of a material.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -214,6 +234,12 @@ mod tests {
         ] {
             assert_eq!(ImageMap::file_of(path), (path, None));
         }
+        let text = ImageMap::base64_inside("a.gltf", 5..25);
+        assert_eq!(text.path, "a.gltf#base64=5+20");
+        let part = ImageMap::inside(&text.path, 3..7).path;
+        assert_eq!(ImageMap::file_of(&part), (&*text.path, Some(3..7)));
+        assert_eq!(ImageMap::text_of(&text.path), ("a.gltf", Some(5..25)));
+        assert_eq!(ImageMap::text_of("a.gltf#base64=5"), ("a.gltf#base64=5", None));
     }
 
     #[test]

@@ -26,6 +26,9 @@ pub struct MaterialRecord {
     pub refractive_index: f32,
     /// Whether `specular` reflects the scene like a mirror (`illum` 3 and up).
     pub mirror: bool,
+    /// How rough mirror and glass are (`Pr`, glTF's roughness): 0 for smooth, up to 1. See [`Finish::roughness`](crate::scene::Finish::roughness), which
+    /// overrides it. What neither mirrors nor refracts has no use for it.
+    pub roughness: f32,
     /// Pictures on the surface, if there are any.
     pub images: Option<Box<MaterialImages>>,
 }
@@ -43,6 +46,7 @@ impl Default for MaterialRecord {
             transmission: [1.0; 3],
             refractive_index: 1.0,
             mirror: false,
+            roughness: 0.0,
             images: None,
         }
     }
@@ -52,7 +56,7 @@ impl Default for MaterialRecord {
 const NAME_BYTES_MAX: usize = 1 << 16;
 
 impl MaterialRecord {
-    fn numbers(&self) -> [f32; 15] {
+    fn numbers(&self) -> [f32; 16] {
         let (d, s, e, t) = (self.diffuse, self.specular, self.emission, self.transmission);
         [
             d[0],
@@ -70,7 +74,19 @@ impl MaterialRecord {
             self.shininess,
             self.opacity,
             self.refractive_index,
+            self.roughness,
         ]
+    }
+
+    /// What a table refuses about the numbers, if anything.
+    fn check(&self) -> Result<(), &'static str> {
+        if self.numbers().iter().any(|number| !number.is_finite()) {
+            return Err("a number of a material is not finite");
+        }
+        match (0.0..=1.0).contains(&self.roughness) {
+            true => Ok(()),
+            false => Err("the roughness of a material is not between 0 and 1"),
+        }
     }
 
     /// Appends the material to a table.
@@ -78,9 +94,7 @@ impl MaterialRecord {
         if self.name.len() > NAME_BYTES_MAX {
             return Err(ModelError::Limit { reason: "the name of a material is longer than 64 KiB" });
         }
-        if self.numbers().iter().any(|number| !number.is_finite()) {
-            return Err(ModelError::Limit { reason: "a number of a material is not finite" });
-        }
+        self.check().map_err(|reason| ModelError::Limit { reason })?;
         out.extend(self.numbers().iter().flat_map(|number| number.to_le_bytes()));
         out.extend_from_slice(&u32::from(self.mirror).to_le_bytes());
         out.extend_from_slice(&(self.name.len() as u32).to_le_bytes());
@@ -134,7 +148,7 @@ fn parse(bytes: &[u8]) -> Result<(MaterialRecord, &[u8]), &'static str> {
     let mut fields = Fields(head);
     let mut color = || [(); 3].map(|()| fields.f32());
     let (diffuse, specular, emission, transmission) = (color(), color(), color(), color());
-    let (shininess, opacity, refractive_index) = (fields.f32(), fields.f32(), fields.f32());
+    let [shininess, opacity, refractive_index, roughness] = [(); 4].map(|()| fields.f32());
     let mirror = match fields.u32() {
         0 => false,
         1 => true,
@@ -156,10 +170,78 @@ fn parse(bytes: &[u8]) -> Result<(MaterialRecord, &[u8]), &'static str> {
         transmission,
         refractive_index,
         mirror,
+        roughness,
         images: None,
     };
-    if material.numbers().iter().any(|number| !number.is_finite()) {
-        return Err("a number of a material is not finite");
-    }
+    material.check()?;
     Ok((material, rest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn materials() -> Vec<MaterialRecord> {
+        let brass = MaterialRecord {
+            name: "brass".into(),
+            specular: [0.9, 0.7, 0.3],
+            mirror: true,
+            roughness: 0.375,
+            ..MaterialRecord::default()
+        };
+        let frosted = MaterialRecord {
+            name: "Milchgläser".into(),
+            opacity: 0.0,
+            refractive_index: 1.5,
+            roughness: 1.0,
+            ..brass.clone()
+        };
+        vec![brass, MaterialRecord::default(), frosted]
+    }
+
+    #[test]
+    fn materials_come_back() {
+        let (bytes, count) = table_bytes(&materials()).unwrap();
+        assert_eq!(bytes.len(), 3 * MATERIAL_BYTES_MIN as usize + "brass".len() + "Milchgläser".len());
+        assert_eq!(parse_table(&bytes, count, 0).unwrap(), materials());
+    }
+
+    #[test]
+    fn a_roughness_is_between_0_and_1() {
+        for roughness in [-0.1, 1.1, f32::NAN, f32::INFINITY] {
+            let bad = [MaterialRecord { roughness, ..MaterialRecord::default() }];
+            assert!(matches!(table_bytes(&bad), Err(ModelError::Limit { .. })), "{roughness}");
+            let (mut bytes, _) = table_bytes(&[MaterialRecord::default()]).unwrap();
+            bytes[60..64].copy_from_slice(&roughness.to_le_bytes());
+            assert!(matches!(parse_table(&bytes, 1, 0), Err(ModelError::Damaged { offset: 0, .. })));
+        }
+    }
+
+    #[test]
+    fn damaged_tables_are_refused_or_sound() {
+        let (bytes, count) = table_bytes(&materials()).unwrap();
+        let is_refused = |bytes: &[u8]| match parse_table(bytes, count, 1000) {
+            Err(ModelError::Damaged { offset, .. }) => {
+                assert!((1000..=1000 + bytes.len() as u64).contains(&offset));
+                true
+            }
+            Err(other) => panic!("{other}"),
+            Ok(found) => {
+                // What was read can be written.
+                table_bytes(&found).unwrap();
+                false
+            }
+        };
+        for length in 0..bytes.len() {
+            assert!(is_refused(&bytes[..length]), "cut to {length}");
+        }
+        assert!(is_refused(&[&bytes[..], &[0]].concat()));
+        let (mut refused, mut sound) = (0, 0);
+        for at in 0..8 * bytes.len() {
+            let mut changed = bytes.clone();
+            changed[at / 8] ^= 1 << (at % 8);
+            if is_refused(&changed) { refused += 1 } else { sound += 1 }
+        }
+        assert!(refused > 100 && sound > 100, "{refused} {sound}");
+    }
 }

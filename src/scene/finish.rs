@@ -3,13 +3,14 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::RenderError;
+use crate::model::MaterialRecord;
 
-/// A finish for the material of a certain name: roughness and rank among nested media.
+/// A finish for the material of a certain name: roughness, instead of the model's, and rank among nested media.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Finish {
-    /// 0 is smooth: mirrors and glass as the model says. Up to 1, reflection and refraction are blurred by microfacets of the
-    /// GGX distribution with `alpha = roughness^2`.
-    pub roughness: f32,
+    /// 0 is smooth. Up to 1, reflection and refraction are blurred by microfacets of the GGX distribution with `alpha = roughness^2`. Without
+    /// it the material has the roughness of its record ([`MaterialRecord::roughness`]).
+    pub roughness: Option<f32>,
     /// Rank of a transparent material where bodies overlap: a body of higher priority displaces those of lower. Bodies whose
     /// surfaces coincide (water in a glass) become one border. Without any priority in the scene each surface refracts
     /// against air, as if bodies never touched.
@@ -19,12 +20,12 @@ pub struct Finish {
 impl Finish {
     /// Rough, without a priority.
     pub fn rough(roughness: f32) -> Finish {
-        Finish { roughness, priority: None }
+        Finish { roughness: Some(roughness), priority: None }
     }
 
-    /// Smooth, with a priority.
+    /// As rough as the model says, with a priority.
     pub fn nested(priority: u8) -> Finish {
-        Finish { roughness: 0.0, priority: Some(priority) }
+        Finish { roughness: None, priority: Some(priority) }
     }
 
     /// Says what is wrong with the finish, if anything is.
@@ -32,18 +33,22 @@ impl Finish {
     /// # Errors
     /// [`RenderError::Setting`] if the roughness is not in 0 ..= 1.
     pub fn validate(&self) -> Result<(), RenderError> {
-        if (0.0..=1.0).contains(&self.roughness) {
-            return Ok(());
+        match self.roughness {
+            Some(roughness) if !(0.0..=1.0).contains(&roughness) => {
+                let reason = format!("a roughness of {roughness} is not between 0 and 1");
+                Err(RenderError::Setting { what: "finish", reason })
+            }
+            _ => Ok(()),
         }
-        let reason = format!("a roughness of {} is not between 0 and 1", self.roughness);
-        Err(RenderError::Setting { what: "finish", reason })
     }
 
-    /// GGX's alpha; 0 if the surface is smooth.
-    pub(super) fn alpha(&self) -> f64 {
+    /// GGX's alpha of a material with this finish; 0 if the surface is smooth. A record's roughness that makes no sense counts as the nearest
+    /// that does.
+    pub(super) fn alpha(&self, record: &MaterialRecord) -> f64 {
         /// Below this a lobe is as good as a mirror, and its peak too high for sums of f64.
         const ALPHA_MIN: f64 = 1e-3;
-        let roughness = f64::from(self.roughness);
-        if roughness > 0.0 { (roughness * roughness).max(ALPHA_MIN) } else { 0.0 }
+        let roughness = f64::from(self.roughness.unwrap_or(record.roughness));
+        // What is not a number is not greater than 0 either.
+        if roughness > 0.0 { (roughness * roughness).clamp(ALPHA_MIN, 1.0) } else { 0.0 }
     }
 }

@@ -13,6 +13,7 @@ use crate::model::MaterialRecord;
 /// | highlight | `Ks`, exponent `Ns` | Blinn: `Ks (n . h)^Ns` per light; not weakened by transparency, as glass keeps its highlights |
 /// | mirror | `d min(Ks, 1)` if `illum >= 3` | reflects the scene |
 /// | transmission | `1 - d` | the share that enters. If `Ni` is not 1, Fresnel's equations split it into a reflected and a refracted part that add up to it; if `Ni` is 1, all of it passes straight on |
+/// | alpha | `Pr^2`, or the [`Finish`]'s roughness squared | GGX microfacets instead of a smooth mirror and smooth glass |
 /// | absorption | `-ln Tf` | Beer-Lambert, per unit of length inside (the segment that ends at the surface from behind) |
 ///
 /// `d min(Ks, 1) + (1 - d) <= 1` in each channel: no surface sends on more than it gets. The renderer's bound on
@@ -35,7 +36,7 @@ pub struct Surface {
     pub absorption: [f64; 3],
     /// At least 1; exactly 1 passes light straight on.
     pub refractive_index: f64,
-    /// GGX roughness of mirror and glass; 0 if smooth.
+    /// GGX's alpha of mirror and glass; 0 if smooth.
     pub alpha: f64,
     /// Rank among overlapping media.
     pub priority: u8,
@@ -73,7 +74,7 @@ impl Surface {
                 }
             }),
             refractive_index: if index >= 1.0 { index } else { 1.0 },
-            alpha: finish.alpha(),
+            alpha: finish.alpha(record),
             priority: finish.priority.unwrap_or(0),
         }
     }
@@ -146,6 +147,7 @@ mod tests {
             transmission: [0.0, 2.0, f32::NAN],
             refractive_index: f32::NAN,
             mirror: true,
+            roughness: f32::NAN,
             images: None,
         };
         let surface = Surface::from_record(&record);
@@ -153,5 +155,8 @@ mod tests {
         assert_eq!(surface.mirror, [0.0, 0.5, 1.0]);
         assert_eq!(surface.absorption, [Surface::ABSORPTION_MAX, 0.0, Surface::ABSORPTION_MAX]);
         assert_eq!((surface.refractive_index, surface.transmission, surface.exponent), (1.0, 0.0, 0.0));
+        assert_eq!(surface.alpha, 0.0);
+        let alpha = |roughness| Surface::from_record(&MaterialRecord { roughness, ..record.clone() }).alpha;
+        assert_eq!([-1.0, f32::NEG_INFINITY, f32::INFINITY, 7.0].map(alpha), [0.0, 0.0, 1.0, 1.0]);
     }
 }

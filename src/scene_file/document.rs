@@ -165,8 +165,7 @@ pub(super) struct EnvironmentTable {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FinishTable {
-    #[serde(default)]
-    pub roughness: f32,
+    pub roughness: Option<f32>,
     pub priority: Option<u8>,
 }
 

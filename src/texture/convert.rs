@@ -2,11 +2,10 @@
 
 use std::fs::{self, File};
 use std::io::{self, Seek, SeekFrom, Write};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::decode::{Rows, decode};
+use super::decode::{Place, Rows, decode};
 use super::file::{HEADER_BYTES, Textures, sealed};
 use super::layout::{Encoding, Image, ImageKey, TILE_BYTES, tile_count};
 use super::pyramid::{Pyramid, tile_checksum};
@@ -71,14 +70,15 @@ impl Textures {
     }
 }
 
-/// The file of an image, and where in it the image is, if it is only a part.
-fn place_of(key: &ImageKey, folder: &Path) -> (PathBuf, Option<Range<u64>>) {
+/// The file of an image, and where in it the image is.
+fn place_of(key: &ImageKey, folder: &Path) -> (PathBuf, Place) {
     match key.path.to_str() {
         Some(path) => {
-            let (file, place) = ImageMap::file_of(path);
-            (folder.join(file), place)
+            let (file, part) = ImageMap::file_of(path);
+            let (file, text) = ImageMap::text_of(file);
+            (folder.join(file), Place { text, part })
         }
-        None => (folder.join(&key.path), None),
+        None => (folder.join(&key.path), Place::default()),
     }
 }
 

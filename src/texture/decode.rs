@@ -5,9 +5,10 @@ use std::ops::Range;
 use std::path::Path;
 
 use super::layout::SIDE_MAX;
-use super::part::FilePart;
+use super::part::Part;
 use crate::budget::MemoryBudget;
 use crate::error::TextureError;
+use crate::units::Bytes;
 
 /// What is told about an image before its rows, and each row from the top.
 pub(super) trait Rows {
@@ -21,23 +22,46 @@ fn refused(path: &Path, reason: impl Into<String>) -> TextureError {
     TextureError::Image { path: path.to_path_buf(), reason: reason.into() }
 }
 
-/// Reads an image file, or the part of a file that is one; its kind is told by its first bytes.
+/// Where in a file an image is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Place {
+    /// The base64 text that is taken in the file's place, if any.
+    pub text: Option<Range<u64>>,
+    /// The bytes of that or of the file; all without it.
+    pub part: Option<Range<u64>>,
+}
+
+/// Reads an image file, or the part of a file that is one; its kind is told by its first bytes. A text in base64 is decoded as a whole, in memory of
+/// the budget.
 pub(super) fn decode(
     path: &Path,
-    place: Option<Range<u64>>,
+    place: Place,
     budget: &MemoryBudget,
     rows: &mut dyn Rows,
 ) -> Result<(), TextureError> {
-    use std::io::{Read, Seek};
+    use std::io::{Cursor, Read, Seek};
     let io = |error| TextureError::Io { path: path.to_path_buf(), error };
     let file = File::open(path).map_err(io)?;
     let file_bytes = file.metadata().map_err(io)?.len();
-    let place = place.unwrap_or(0..file_bytes);
-    if place.end > file_bytes {
-        let reason = format!("ends at byte {file_bytes}; an image should be at bytes {place:?}");
-        return Err(refused(path, reason));
-    }
-    let mut file = FilePart::new(file, place).map_err(io)?;
+    let inside = |place: Option<Range<u64>>, length: u64| {
+        let place = place.unwrap_or(0..length);
+        let reason = || format!("ends at byte {length}; an image should be at bytes {place:?}");
+        if place.end > length { Err(refused(path, reason())) } else { Ok(place) }
+    };
+    let Place { text, part } = place;
+    let (mut file, _memory): (Box<dyn Source>, _) = match text {
+        None => (Box::new(Part::new(file, inside(part, file_bytes)?).map_err(io)?), None),
+        Some(text) => {
+            let text = inside(Some(text), file_bytes)?;
+            // The text, up to three copies while it is freed of escapes, and what it says.
+            let memory = budget
+                .reserve(Bytes((text.end.saturating_sub(text.start)).saturating_mul(4)), "an image in base64")
+                .map_err(TextureError::Budget)?;
+            let bytes = base64(path, Part::new(file, text).map_err(io)?)?;
+            let part = inside(part, bytes.len() as u64)?;
+            (Box::new(Part::new(Cursor::new(bytes), part).map_err(io)?), Some(memory))
+        }
+    };
     let mut start = [0; 4];
     let count = file.read(&mut start).map_err(io)?;
     file.rewind().map_err(io)?;
@@ -46,6 +70,25 @@ pub(super) fn decode(
         [0xff, 0xd8, 0xff, _] => jpeg(path, file, budget, rows),
         _ => Err(refused(path, "is neither a PNG nor a JPEG image; convert it")),
     }
+}
+
+/// What decoders read from.
+trait Source: std::io::Read + std::io::Seek {}
+impl<S: std::io::Read + std::io::Seek> Source for S {}
+
+#[cfg(feature = "gltf")]
+fn base64(path: &Path, mut part: Part<File>) -> Result<Vec<u8>, TextureError> {
+    use std::io::Read;
+    // Its length was compared with the file's, and is reserved.
+    let mut text = Vec::with_capacity(part.len() as usize);
+    part.read_to_end(&mut text).map_err(|error| TextureError::Io { path: path.to_path_buf(), error })?;
+    crate::import::gltf::decode_json(&text)
+        .ok_or_else(|| refused(path, "holds an image that is not in base64"))
+}
+
+#[cfg(not(feature = "gltf"))]
+fn base64(path: &Path, _: Part<File>) -> Result<Vec<u8>, TextureError> {
+    Err(refused(path, "holds an image in base64; build with the feature `gltf`"))
 }
 
 fn check_size(path: &Path, width: u32, height: u32) -> Result<(), TextureError> {
@@ -57,8 +100,12 @@ fn check_size(path: &Path, width: u32, height: u32) -> Result<(), TextureError> 
 }
 
 #[cfg(feature = "png")]
-fn png(path: &Path, file: FilePart, budget: &MemoryBudget, rows: &mut dyn Rows) -> Result<(), TextureError> {
-    use crate::units::Bytes;
+fn png(
+    path: &Path,
+    file: Box<dyn Source>,
+    budget: &MemoryBudget,
+    rows: &mut dyn Rows,
+) -> Result<(), TextureError> {
     let failed = |error: png::DecodingError| refused(path, format!("cannot be decoded: {error}"));
     let mut decoder = png::Decoder::new(std::io::BufReader::new(file));
     // Palettes, fewer and more than eight bits: all to eight bits for each channel.
@@ -102,13 +149,17 @@ fn png(path: &Path, file: FilePart, budget: &MemoryBudget, rows: &mut dyn Rows) 
 }
 
 #[cfg(not(feature = "png"))]
-fn png(path: &Path, _: FilePart, _: &MemoryBudget, _: &mut dyn Rows) -> Result<(), TextureError> {
+fn png(path: &Path, _: Box<dyn Source>, _: &MemoryBudget, _: &mut dyn Rows) -> Result<(), TextureError> {
     Err(refused(path, "is a PNG image; build with the feature `png`"))
 }
 
 #[cfg(feature = "jpeg")]
-fn jpeg(path: &Path, file: FilePart, budget: &MemoryBudget, rows: &mut dyn Rows) -> Result<(), TextureError> {
-    use crate::units::Bytes;
+fn jpeg(
+    path: &Path,
+    file: Box<dyn Source>,
+    budget: &MemoryBudget,
+    rows: &mut dyn Rows,
+) -> Result<(), TextureError> {
     use zune_jpeg::JpegDecoder;
     use zune_jpeg::zune_core::colorspace::ColorSpace;
     use zune_jpeg::zune_core::options::DecoderOptions;
@@ -143,6 +194,6 @@ fn jpeg(path: &Path, file: FilePart, budget: &MemoryBudget, rows: &mut dyn Rows)
 }
 
 #[cfg(not(feature = "jpeg"))]
-fn jpeg(path: &Path, _: FilePart, _: &MemoryBudget, _: &mut dyn Rows) -> Result<(), TextureError> {
+fn jpeg(path: &Path, _: Box<dyn Source>, _: &MemoryBudget, _: &mut dyn Rows) -> Result<(), TextureError> {
     Err(refused(path, "is a JPEG image; build with the feature `jpeg`, or convert it to PNG"))
 }

@@ -1,31 +1,31 @@
 //! A part of a file as a file of its own, for decoders that read from the beginning to the end.
 
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 
-/// Bytes `place` of a file.
+/// Bytes `place` of a file, or of what is read as one.
 #[derive(Debug)]
-pub(super) struct FilePart {
-    file: File,
+pub(super) struct Part<F> {
+    file: F,
     place: Range<u64>,
     /// Of the next byte, from the beginning of the part.
     position: u64,
 }
 
-impl FilePart {
+impl<F: Read + Seek> Part<F> {
     /// `place` must lie inside the file.
-    pub fn new(mut file: File, place: Range<u64>) -> io::Result<FilePart> {
+    pub fn new(mut file: F, place: Range<u64>) -> io::Result<Part<F>> {
         file.seek(SeekFrom::Start(place.start))?;
-        Ok(FilePart { file, place, position: 0 })
+        Ok(Part { file, place, position: 0 })
     }
 
-    fn len(&self) -> u64 {
+    /// Its length in bytes.
+    pub fn len(&self) -> u64 {
         self.place.end.saturating_sub(self.place.start)
     }
 }
 
-impl Read for FilePart {
+impl<F: Read + Seek> Read for Part<F> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let left = self.len().saturating_sub(self.position);
         let most = usize::try_from(left).unwrap_or(usize::MAX).min(into.len());
@@ -35,7 +35,7 @@ impl Read for FilePart {
     }
 }
 
-impl Seek for FilePart {
+impl<F: Read + Seek> Seek for Part<F> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         let position = match to {
             SeekFrom::Start(position) => Some(position),
@@ -61,11 +61,11 @@ mod tests {
     fn a_part_is_a_file_of_its_own() {
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(b"0123456789").unwrap();
-        let mut part = FilePart::new(file, 3..8).unwrap();
+        let mut part = Part::new(file, 3..8).unwrap();
         let mut text = String::new();
         part.read_to_string(&mut text).unwrap();
         assert_eq!(text, "34567");
-        let mut rest = |part: &mut FilePart| {
+        let mut rest = |part: &mut Part<std::fs::File>| {
             text.clear();
             part.read_to_string(&mut text).unwrap();
             text.clone()

@@ -140,6 +140,61 @@ fn images_inside_files_are_those_of_files() {
     }
 }
 
+#[cfg(feature = "gltf")]
+#[test]
+fn images_in_base64_are_those_of_files() {
+    use base64::Engine;
+    use base64::engine::general_purpose::STANDARD;
+    let place = tempfile::tempdir().unwrap();
+    let (folder, tiles) = (place.path(), place.path().join("tiles"));
+    let picture = image(70, 9, pattern);
+    let alone = folder.join("a.png");
+    write_png(&alone, &picture, png::ColorType::Rgba, picture.texels.as_flattened());
+    let png = fs::read(&alone).unwrap();
+    let budget = MemoryBudget::new(Bytes::mib(2));
+    let open = |path: String, budget: &MemoryBudget| {
+        Textures::open(&[named(&path)], folder, &tiles, budget).map(|textures| (textures, path))
+    };
+    let text_at = |start: u64, length: u64| ImageMap::base64_inside("a.gltf", start..start + length).path;
+    // The picture, then with something around it; plain, and as some write it into JSON.
+    let around = [&[1, 2][..], &png, &[4; 9]].concat();
+    let length = png.len() as u64;
+    for (bytes, part) in [(&png, None), (&around, Some(2..2 + length))] {
+        let plain = STANDARD.encode(bytes);
+        for text in [plain.replace('/', r"\/").replace('=', r"\u003d"), plain] {
+            fs::write(folder.join("a.gltf"), format!("[\"{text}\"]")).unwrap();
+            let path = text_at(2, text.len() as u64);
+            let path = part.clone().map_or(path.clone(), |part| ImageMap::inside(&path, part).path);
+            let (textures, path) = open(path, &budget).unwrap();
+            let expected = Textures::in_memory([(key(&path, Encoding::Srgb), picture.clone())]);
+            assert_eq!(textures, expected.unwrap());
+        }
+    }
+    // The last text stands there plainly.
+    let text_length = STANDARD.encode(&around).len() as u64;
+    let whole = text_at(2, text_length);
+    let far = u64::MAX - text_length;
+    for path in [
+        text_at(1, text_length),
+        text_at(2, text_length + 1),
+        text_at(2, text_length / 2 / 4 * 4),
+        text_at(2, text_length + 3),
+        text_at(far, text_length),
+        text_at(2, 0),
+        whole.clone(),
+        ImageMap::inside(&whole, 2..around.len() as u64 + 1).path,
+        ImageMap::inside(&whole, 2..length / 2).path,
+    ] {
+        let error = open(path.clone(), &budget).unwrap_err();
+        assert!(matches!(error, TextureError::Image { .. }), "{path}: {error}");
+        assert!(error.to_string().contains("a.gltf"), "{error}");
+    }
+    // A text that the budget has no room for is not read.
+    fs::write(folder.join("a.gltf"), vec![b'A'; 1 << 20]).unwrap();
+    assert!(matches!(open(text_at(0, 1 << 20), &budget), Err(TextureError::Budget(_))));
+    assert_eq!(budget.used(), Bytes(0));
+}
+
 #[test]
 fn image_files_are_converted_once_and_again_when_they_change() {
     let place = tempfile::tempdir().unwrap();

@@ -4,10 +4,9 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::PathBuf;
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use gltf::buffer::Source;
 
+use super::data_uri;
 use super::document::Opened;
 use crate::error::ImportError;
 
@@ -89,17 +88,15 @@ fn open(opened: &Opened, index: usize) -> Result<OpenBuffer, ImportError> {
             Some(chunk) => file(opened.path().to_path_buf(), chunk.start, Some(chunk.end - chunk.start)),
             None => Err(opened.error(name(), "it has no uri and the file has no binary chunk")),
         },
-        Source::Uri(uri) => match uri.strip_prefix("data:") {
-            Some(data) => {
-                let text = data.split_once(";base64,").map(|(_, text)| text);
-                let bytes = text.and_then(|text| STANDARD.decode(text).ok());
-                let bytes = bytes.ok_or_else(|| opened.error(name(), "its data is not in base64"))?;
-                Ok(OpenBuffer { place: Place::Memory(bytes), length })
-            }
-            None => match opened.file_beside(uri) {
-                Some(path) => file(path, 0, None),
-                None => Err(opened.error(name(), "its uri names no file beside this one")),
-            },
+        // The document is of limited length, and so is what stands in it.
+        Source::Uri(uri) if data_uri::is_data(uri) => {
+            let bytes = data_uri::text(uri).and_then(|text| data_uri::decode(text.as_bytes()));
+            let bytes = bytes.ok_or_else(|| opened.error(name(), "its data is not in base64"))?;
+            Ok(OpenBuffer { place: Place::Memory(bytes), length })
+        }
+        Source::Uri(uri) => match opened.file_beside(uri) {
+            Some(path) => file(path, 0, None),
+            None => Err(opened.error(name(), "its uri names no file beside this one")),
         },
     }
 }

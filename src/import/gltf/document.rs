@@ -12,6 +12,7 @@ use gltf::json::extensions::scene::khr_lights_punctual::Type as LightType;
 use gltf::json::mesh::Semantic;
 use gltf::json::validation::Checked;
 
+use super::data_uri::DataPlaces;
 use crate::error::ImportError;
 
 /// Longest JSON text, 64 MiB. While it is read it takes about ten times as much memory.
@@ -31,6 +32,9 @@ pub(crate) struct Opened {
     pub document: Document,
     /// Where the binary chunk of a `.glb` is.
     pub chunk: Option<Range<u64>>,
+    /// Where in the file the text of each buffer and of each image is that is a data URI.
+    pub buffer_texts: Vec<Option<Range<u64>>>,
+    pub image_texts: Vec<Option<Range<u64>>>,
 }
 
 impl Opened {
@@ -61,12 +65,28 @@ impl Opened {
         file.seek(SeekFrom::Start(json_range.start)).map_err(io)?;
         file.take(json_bytes).read_to_end(&mut json).map_err(io)?;
         let document = parse(path, json_range.start, &json)?;
-        Ok(Opened { path: path.to_path_buf(), document, chunk })
+        let texts = DataPlaces::find(&json, json_range.start);
+        let buffer_text = |buffer: gltf::Buffer<'_>| match buffer.source() {
+            gltf::buffer::Source::Uri(uri) => texts.of(uri),
+            gltf::buffer::Source::Bin => None,
+        };
+        let image_text = |image: gltf::Image<'_>| match image.source() {
+            gltf::image::Source::Uri { uri, .. } => texts.of(uri),
+            gltf::image::Source::View { .. } => None,
+        };
+        let buffer_texts = document.buffers().map(buffer_text).collect();
+        let image_texts = document.images().map(image_text).collect();
+        Ok(Opened { path: path.to_path_buf(), document, chunk, buffer_texts, image_texts })
     }
 
     /// The file.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The file's own name, from which paths of what is inside it start.
+    pub fn file_name(&self) -> Option<&str> {
+        self.path.file_name()?.to_str()
     }
 
     /// An error about a part of the document.

@@ -1,5 +1,7 @@
 //! Metallic-roughness materials in the terms of MTL, in which the compiled file holds them.
 
+use std::ops::Range;
+
 use gltf::buffer::{self, View};
 use gltf::image::Source;
 use gltf::material::AlphaMode;
@@ -7,18 +9,18 @@ use gltf::texture::WrappingMode;
 use gltf::{Material, Texture};
 
 use super::super::report::ImportReport;
+use super::data_uri;
 use super::document::Opened;
 use crate::error::ImportError;
 use crate::model::{ImageMap, MaterialImages, MaterialRecord};
 
-/// Metals smoother than this mirror the scene; rougher ones only have a highlight.
-const MIRROR_ROUGHNESS_MAX: f32 = 0.25;
-
-/// The material nearest to `material`. Of its textures those of base colour and normals are named, if they are files.
+/// The material nearest to `material`. Of its textures those of base colour and normals are named.
 ///
 /// With base colour `c`, metalness `m`, roughness `r`, transmission `T` and refractive index `n` (appendix B of the
 /// specification): `Kd = c (1 - m) (1 - T)`, `Ks = f (1 - m) + c m` with `f = ((n - 1) / (n + 1))^2`, the Phong exponent is
-/// `2 / r^4 - 2`, opacity is `1 - T` or, if blended, alpha.
+/// `2 / r^4 - 2`, opacity is `1 - T` or, if blended, alpha. Roughness is the file's: perceptual, `alpha = r^2`, as that of the compiled file is. Metals
+/// (`m` above one half) mirror the scene by it and what refracts is frosted by it. Other dielectrics reflect by Fresnel, 4 % where they are faced:
+/// they have a highlight of that strength and mirror nothing, so that matt things take no ray for the rest.
 pub(super) fn record(
     opened: &Opened,
     material: &Material<'_>,
@@ -72,7 +74,8 @@ pub(super) fn record(
         transmission: through,
         // What does not bend light has 1 in MTL.
         refractive_index: if transmission > 0.0 { refractive_index } else { 1.0 },
-        mirror: metallic > 0.5 && roughness <= MIRROR_ROUGHNESS_MAX,
+        mirror: metallic > 0.5,
+        roughness,
         images: (images != MaterialImages::default()).then(|| Box::new(images)),
     };
     let numbers = [record.diffuse, record.specular, record.emission, record.transmission];
@@ -95,12 +98,18 @@ fn image_map(
         warn("a texture with texture coordinates of another set than the first is left out");
         return None;
     }
-    let whole = match texture.source().source() {
+    let image = texture.source();
+    let whole = match image.source() {
+        Source::Uri { uri, .. } if data_uri::is_data(uri) => {
+            inside_text(opened, &opened.image_texts, image.index())
+        }
         Source::Uri { uri, .. } => opened.relative(uri).map(ImageMap::new),
         Source::View { view, .. } => image_inside(opened, &view),
     };
     let Some(whole) = whole else {
-        warn("a texture that is neither a file beside this one nor a part of one is left out");
+        warn(
+            "a texture that is neither a file beside this one nor a part of one, nor data in base64, is left out",
+        );
         return None;
     };
     let sampler = texture.sampler();
@@ -111,12 +120,18 @@ fn image_map(
     Some(ImageMap { clamp: clamps == [true; 2], ..whole })
 }
 
+/// What the data URI of that number holds, if it is in base64.
+fn inside_text(opened: &Opened, texts: &[Option<Range<u64>>], number: usize) -> Option<ImageMap> {
+    Some(ImageMap::base64_inside(opened.file_name()?, texts.get(number)?.clone()?))
+}
+
 /// An image in a buffer that is a part of this file, or a file beside it. Whether it is one, and whether it is all there, is found out when
 /// it is read.
 fn image_inside(opened: &Opened, view: &View<'_>) -> Option<ImageMap> {
     let (file, begin) = match view.buffer().source() {
-        buffer::Source::Bin => {
-            (opened.path().file_name()?.to_str()?.to_owned(), opened.chunk.as_ref()?.start)
+        buffer::Source::Bin => (opened.file_name()?.to_owned(), opened.chunk.as_ref()?.start),
+        buffer::Source::Uri(uri) if data_uri::is_data(uri) => {
+            (inside_text(opened, &opened.buffer_texts, view.buffer().index())?.path, 0)
         }
         buffer::Source::Uri(uri) => (opened.relative(uri)?, 0),
     };

@@ -10,6 +10,7 @@
 mod accessor;
 mod bytes;
 mod copies;
+mod data_uri;
 mod document;
 mod material;
 mod part;
@@ -22,6 +23,7 @@ use gltf::{Primitive, Semantic};
 
 use self::accessor::Elements;
 use self::bytes::Bytes;
+pub(crate) use self::data_uri::decode_json;
 pub use self::document::JSON_BYTES_MAX;
 pub(crate) use self::document::Opened;
 pub use self::part::{GltfMesh, GltfPart, gltf_meshes};

@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use super::Folder;
 use crate::error::ImportError;
+use crate::import::gltf::decode_json;
 use crate::import::{ImportOptions, ImportReport, MeshBuffer, import_file};
 use crate::model::ImageMap;
 use crate::procedural::random::Random;
@@ -257,6 +258,18 @@ fn materials_become_those_of_mtl() {
         (gold.specular, gold.diffuse, gold.mirror, gold.opacity),
         ([1.0, 0.75, 0.25], [0.0; 3], true, 1.0)
     );
+    assert_eq!((gold.roughness, glass.roughness), (0.1, 0.0));
+    // Rough metals mirror too; what is no metal has a highlight, and glass is frosted.
+    let rough = |metallic: f32, roughness: f32| {
+        let mut sample = sample.with("/materials/2/pbrMetallicRoughness/metallicFactor", json!(metallic));
+        sample.document["materials"][2]["pbrMetallicRoughness"]["roughnessFactor"] = json!(roughness);
+        let record = sample.import().unwrap().0.materials.remove(0);
+        (record.mirror, record.roughness)
+    };
+    assert_eq!([rough(1.0, 0.5), rough(0.75, 1.0)], [(true, 0.5), (true, 1.0)]);
+    assert_eq!(rough(0.25, 0.5), (false, 0.5));
+    // Beyond what the format allows.
+    assert_eq!([rough(1.0, 7.0), rough(1.0, -1.0)], [(true, 1.0), (true, 0.0)]);
 }
 
 #[test]
@@ -312,11 +325,30 @@ fn attributes_and_pictures_go_along() {
     assert_eq!(sample.binary()[place.start as usize..place.end as usize], sample.buffer[50..62]);
     assert!(images.specular.is_none());
     assert_eq!(report.warning_count, 0, "{:?}", report.warnings);
-    // In a buffer that is no file it has no place.
+    // In a buffer that is base64 in the document, by the place of that text, with its escapes if it has any.
+    let text = sample.text().replace("a%20picture.png", "data:image/png;base64,iVBORw");
+    let escaped = text.replace('/', r"\/").replace('A', r"\u0041").replace('{', "{ \n");
+    for document in [&text, &escaped] {
+        let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
+        let path = folder.write("x.gltf", document);
+        let report = import_file(&path, &ImportOptions::default(), &mut mesh).unwrap();
+        assert_eq!(report.warning_count, 0, "{:?}", report.warnings);
+        let images = mesh.materials[0].images.as_ref().unwrap();
+        let (rest, part) = ImageMap::file_of(&images.normal.as_ref().unwrap().path);
+        let (file, place) = ImageMap::text_of(rest);
+        let place = place.unwrap();
+        assert_eq!((file, part), ("x.gltf", Some(50..62)));
+        let found = decode_json(&document.as_bytes()[place.start as usize..place.end as usize]);
+        assert_eq!(found.as_deref(), Some(&sample.buffer[..]));
+        let (file, place) = ImageMap::text_of(&images.diffuse.as_ref().unwrap().path);
+        let place = place.unwrap();
+        assert_eq!((file, &document[place.start as usize..place.end as usize]), ("x.gltf", "iVBORw"));
+    }
+    // Data that is not in base64 is left out.
     let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
-    let path = folder.write("x.gltf", sample.text());
+    let path = folder.write("x.gltf", text.replace("image/png;base64,", "image/png,"));
     let report = import_file(&path, &ImportOptions::default(), &mut mesh).unwrap();
-    assert!(mesh.materials[0].images.as_ref().unwrap().normal.is_none());
+    assert!(mesh.materials[0].images.as_ref().unwrap().diffuse.is_none());
     assert_eq!(report.warning_count, 1, "{:?}", report.warnings);
 
     // A sink that has no use for them gets none, and the report says so.

@@ -43,6 +43,7 @@ fn statements() {
             transmission: [0.9, 0.8, 0.7],
             refractive_index: 1.5,
             mirror: true,
+            roughness: 0.0,
             images: None,
         }
     );
@@ -55,6 +56,18 @@ fn statements() {
             ..MaterialRecord::default()
         }
     );
+}
+
+#[test]
+fn roughness_of_the_extension_for_physically_based_materials() {
+    let text = b"newmtl a\nPr 0.375\nPm 1\nillum 3\nnewmtl b\nPr 7\nnewmtl c\nPr rough\nPr 0.5\nnewmtl d\nPr -1\nnewmtl e\nPr none\n\
+        Prx 1\nPr";
+    let (records, warnings) = library(text);
+    let found: Vec<f32> = records.iter().map(|record| record.roughness).collect();
+    assert_eq!(found, [0.375, 1.0, 0.5, 0.0, 0.0]);
+    let a = MaterialRecord { name: "a".into(), mirror: true, roughness: 0.375, ..MaterialRecord::default() };
+    assert_eq!(records[0], a);
+    assert_eq!(warnings, ["15: `Pr` without a number; it is left out", "12: `Pr` is NaN; 0 is taken"]);
 }
 
 #[test]

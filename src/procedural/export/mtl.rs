@@ -24,8 +24,24 @@ pub(super) fn mtl_text(materials: &[MaterialRecord]) -> String {
             line("Tf", rgb(material.transmission));
         }
         line("Ni", material.refractive_index.to_string());
+        if material.roughness != 0.0 {
+            line("Pr", material.roughness.to_string());
+        }
         line("illum", if material.mirror { "3" } else { "2" }.to_string());
         text.push('\n');
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn roughness_is_said_where_there_is_any() {
+        let rough = MaterialRecord { roughness: 0.375, ..MaterialRecord::default() };
+        let text = |record| mtl_text(&[record]);
+        assert_eq!(text(rough).replace("Pr 0.375\n", ""), text(MaterialRecord::default()));
+        assert!(!text(MaterialRecord::default()).contains("Pr"));
+    }
 }
