@@ -2,6 +2,7 @@
 //!
 //! The loop is written once, generic over one of these sets. What a set leaves out is not there in its code: no test, no
 //! state beside the rays. Combinations that are not here run in [`Sampled`] and are gated at run time.
+//! Which one a batch of samples takes is decided by what its camera rays have hit (`Stage::loop_of_hits`).
 
 /// Effects that a compiled path loop knows.
 pub(super) trait EffectsOfLoop {

@@ -1,6 +1,16 @@
 //! How long the lists of a path tracer are.
 
-use super::stage::{Loop, Stage};
+use glam::DVec3;
+
+use super::bounce::Walk;
+use super::detail::query::SurfaceQuery;
+use super::lamps::Scatter;
+use super::media::Borders;
+use super::paths::{Head, Point, Waiting};
+use super::shadows::ShadowBatch;
+use super::stage::{Loop, Shader, Stage};
+use crate::geom::Ray;
+use crate::trace::Hit;
 
 /// Sizes of the lists, all fixed by the settings.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +54,31 @@ impl Sizes {
             walks: if is_sampled { batch } else { 0 },
             borders: if stage.nested || stage.force_nested { batch } else { 0 },
         }
+    }
+
+    /// What lists of these sizes take, in bytes.
+    pub fn bytes(&self, stage: &Stage) -> usize {
+        let per_sample = 2 * (size_of::<Head>() + size_of::<Ray>())
+            + size_of::<Option<Hit>>()
+            + size_of::<Point>()
+            + self.stack_depth * size_of::<Option<Waiting>>()
+            + size_of::<u8>()
+            + size_of::<DVec3>()
+            + 2 * size_of::<f64>();
+        self.batch * per_sample
+            + self.walks
+                * (2 * size_of::<Walk>()
+                    + size_of::<Scatter>()
+                    + self.stack_depth * size_of::<Option<Walk>>())
+            // A copy of the hits where nested media are only forced.
+            + Borders::bytes_needed(self.borders)
+            + self.borders * size_of::<Option<Hit>>()
+            + ShadowBatch::bytes_needed(self.shadows, stage.transparent.is_some())
+            + self.forced * (size_of::<Ray>() + size_of::<Option<Hit>>())
+            + if stage.path_loop == Loop::Detailed { 2 * self.batch * size_of::<Shader>() } else { 0 }
+            // A sample's time, its ray's, and those that queries keep.
+            + if stage.are_moving { 4 * self.batch.max(self.shadows) * size_of::<f64>() } else { 0 }
+            + SurfaceQuery::<()>::bytes_needed(stage, self.batch.max(self.shadows).max(self.forced))
     }
 }
 

@@ -773,29 +773,5 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
 
 /// What [`PathTracer::new`] allocates for `stage`, in bytes.
 pub(crate) fn bytes_needed(stage: &Stage) -> usize {
-    bytes_of_sizes(stage, &Sizes::of(stage))
-}
-
-pub(super) fn bytes_of_sizes(stage: &Stage, sizes: &Sizes) -> usize {
-    let per_sample = 2 * (size_of::<Head>() + size_of::<Ray>())
-        + size_of::<Option<Hit>>()
-        + size_of::<Point>()
-        + sizes.stack_depth * size_of::<Option<Waiting>>()
-        + size_of::<u8>()
-        + size_of::<DVec3>()
-        + 2 * size_of::<f64>();
-    sizes.batch * per_sample
-        + sizes.walks
-            * (2 * size_of::<Walk>()
-                + size_of::<Scatter>()
-                + sizes.stack_depth * size_of::<Option<Walk>>())
-        // A copy of the hits where nested media are only forced.
-        + Borders::bytes_needed(sizes.borders)
-        + sizes.borders * size_of::<Option<Hit>>()
-        + ShadowBatch::bytes_needed(sizes.shadows, stage.transparent.is_some())
-        + sizes.forced * (size_of::<Ray>() + size_of::<Option<Hit>>())
-        + if stage.path_loop == Loop::Detailed { 2 * sizes.batch * size_of::<Shader>() } else { 0 }
-        // A sample's time, its ray's, and those that queries keep.
-        + if stage.are_moving { 4 * sizes.batch.max(sizes.shadows) * size_of::<f64>() } else { 0 }
-        + SurfaceQuery::<()>::bytes_needed(stage, sizes.batch.max(sizes.shadows).max(sizes.forced))
+    Sizes::of(stage).bytes(stage)
 }

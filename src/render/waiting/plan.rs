@@ -6,7 +6,6 @@ use super::tiles::Tiles;
 use crate::model::Model;
 use crate::octree::{LazyOctree, LeafLayout};
 use crate::render::path_sizes::Sizes;
-use crate::render::paths;
 use crate::render::settings::WaitingRays;
 use crate::render::shadows::OpenClaim;
 use crate::render::stage::{Loop, Stage};
@@ -144,7 +143,7 @@ impl WaitingPlan {
         let claims_asked = self.claims_asked();
         let queues = (self.batch + 2 * RayPool::RESUMED_MAX + claims_asked) * size_of::<ClosestRequest>()
             + claims_asked * (size_of::<AnyRequest>() + size_of::<OpenClaim>());
-        let bytes = paths::bytes_of_sizes(stage, &self.sizes)
+        let bytes = self.sizes.bytes(stage)
             // Places, those that are ready and those that have ended.
             + self.samples as usize * (Samples::bytes_of_one(with_walks) + 2 * size_of::<u32>())
             + self.stacks as usize * Stacks::bytes_of_one(with_walks)
