@@ -108,9 +108,9 @@ impl Placed {
         // Numbers of maps in between are off by two roundings of the numbers at the ends; where it turns by those of a rotation and of its product with
         // the first map, of which each row adds up to no more than the radius.
         let stray = motion.stray(radius * SLACK);
-        for axis in 0..3 {
-            let turned = if stray > 0.0 { radius } else { 0.0 };
-            let pad = stray + gamma(32) * (2.0 * largest[axis] + 3.0 * turned);
+        let turned = if stray > 0.0 { radius } else { 0.0 };
+        for (axis, largest) in largest.into_iter().enumerate() {
+            let pad = stray + gamma(32) * (2.0 * largest + 3.0 * turned);
             bounds.min[axis] -= pad;
             bounds.max[axis] += pad;
         }
