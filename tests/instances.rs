@@ -372,12 +372,16 @@ fn moving_instances_are_where_the_time_of_a_ray_says() {
         (0..6).map(|i| Instance { model: 0, map: any_map(&mut random, 1.0, 2.0, i) }).collect();
     let mut instances =
         Instances::open(&[source], starts.clone(), &budget, &OctreeOptions::default()).unwrap();
-    // Half of them move, turn and grow.
+    // Half of them move and turn; two of those grow as well, so that their vertices go straight.
     let ends: Vec<(usize, Affine)> = (0..6)
         .step_by(2)
         .map(|number| {
-            let turn = Affine::rotation(random.vector(1.0), 40.0 * random.signed());
             let shift = Affine::translation(random.vector(1.0));
+            if number == 4 {
+                let turn = Affine::rotation(random.vector(1.0), 150.0);
+                return (number, starts[number].map.then(&turn).then(&shift));
+            }
+            let turn = Affine::rotation(random.vector(1.0), 40.0 * random.signed());
             (number, turn.then(&Affine::scale([1.1, 0.9, 1.2])).then(&starts[number].map).then(&shift))
         })
         .collect();

@@ -52,6 +52,11 @@ impl Affine {
             270.0 => (-1.0, 0.0),
             degrees => (libm::sin(degrees.to_radians()), libm::cos(degrees.to_radians())),
         };
+        Affine::rotation_of([x, y, z], sin, cos)
+    }
+
+    /// [`Affine::rotation`] about a unit axis by the angle with this sine and cosine.
+    pub(super) fn rotation_of([x, y, z]: [f64; 3], sin: f64, cos: f64) -> Affine {
         let rest = 1.0 - cos;
         Affine {
             rows: [
@@ -102,8 +107,7 @@ impl Affine {
 
     /// The map between this one and `end`, at `time` from 0 to 1: every point moves on a straight line from where this map takes it to where
     /// `end` does.
-    #[must_use]
-    pub fn between(&self, end: &Affine, time: f64) -> Affine {
+    pub(super) fn straight_to(&self, end: &Affine, time: f64) -> Affine {
         let mut map = *self;
         for (row, end) in map.rows.iter_mut().zip(end.rows) {
             for (number, end) in row.iter_mut().zip(end) {
@@ -113,8 +117,8 @@ impl Affine {
         map
     }
 
-    /// Whether no map between this one and `end` is flat, nor nearly so.
-    pub(crate) fn stays_upright(&self, end: &Affine) -> bool {
+    /// Whether no map on the straight way between this one and `end` is flat, nor nearly so.
+    pub(super) fn stays_upright(&self, end: &Affine) -> bool {
         // The determinant is a cubic polynomial in time, and lies between the least and the greatest of its Bernstein coefficients: the
         // mean determinants of matrices of which so many rows are the end's.
         let (from, to) = (self.matrix(), end.matrix());
@@ -169,6 +173,12 @@ impl Affine {
         self.rows.map(|[a, b, c, _]| [a, b, c])
     }
 
+    /// This map, but for where the origin goes.
+    pub(crate) fn with_shift(mut self, shift: [f64; 3]) -> Affine {
+        self.rows.iter_mut().zip(shift).for_each(|(row, shift)| row[3] = shift);
+        self
+    }
+
     /// Where the origin goes.
     pub(crate) fn shift(&self) -> [f64; 3] {
         self.rows.map(|row| row[3])
@@ -210,7 +220,12 @@ mod tests {
             (Affine::IDENTITY, Affine::rotation([0.0, 0.0, 1.0], 80.0).then(&Affine::translation([4.0; 3])));
         assert_eq!((from.between(&to, 0.0), from.between(&from, 0.3)), (from, from));
         let point = [1.0, 2.0, 3.0];
-        let (start, end, middle) = (from.point(point), to.point(point), from.between(&to, 0.5).point(point));
+        // What turns does so about the origin, which is half way.
+        let half = Affine::rotation([0.0, 0.0, 1.0], 40.0).then(&Affine::translation([2.0; 3])).point(point);
+        let found = from.between(&to, 0.5).point(point);
+        assert!((0..3).all(|axis| (found[axis] - half[axis]).abs() < 1e-14), "{found:?} {half:?}");
+        let (start, end, middle) =
+            (from.point(point), to.point(point), from.straight_to(&to, 0.5).point(point));
         for axis in 0..3 {
             assert!((middle[axis] - 0.5 * (start[axis] + end[axis])).abs() < 1e-15);
         }

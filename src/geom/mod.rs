@@ -12,6 +12,7 @@ mod float;
 mod frame;
 mod grid;
 mod lattice;
+mod motion;
 mod offset;
 mod plain;
 mod ray;
@@ -30,6 +31,7 @@ pub use float::{
 };
 pub use frame::RayFrame;
 pub use lattice::{Lattice, Precision};
+pub(crate) use motion::Motion;
 pub use offset::{hit_position, offset_origin, position_error, triangle_normal};
 pub use plain::intersect_plain;
 pub use ray::Ray;

@@ -9,7 +9,7 @@ use super::placed::Placed;
 use super::tree::Tree;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::InstanceError;
-use crate::geom::{Aabb, Affine};
+use crate::geom::{Aabb, Affine, Motion};
 use crate::model::{BlockEntry, MaterialRecord, Model};
 use crate::octree::{LazyOctree, OctreeOptions, tracer_bytes};
 use crate::source::BlockSource;
@@ -65,8 +65,8 @@ pub struct Instances {
     materials: Vec<MaterialRecord>,
     instances: Vec<Instance>,
     pub(super) placed: Vec<Placed>,
-    /// For each instance, where it is when the shutter closes, if any moves.
-    ends: Vec<Option<Affine>>,
+    /// For each instance, its way until the shutter closes, if any moves.
+    motions: Vec<Option<Motion>>,
     pub(super) tree: Tree,
     budget: MemoryBudget,
     memory: Reservation,
@@ -141,7 +141,7 @@ impl Instances {
             materials,
             instances: Vec::new(),
             placed: Vec::new(),
-            ends: Vec::new(),
+            motions: Vec::new(),
             tree: Tree::default(),
             budget: budget.clone(),
             memory: budget.reserve(Bytes(0), "instances")?,
@@ -178,55 +178,59 @@ impl Instances {
         let boxes: Vec<Aabb> = placed.iter().map(|placed| placed.bounds).collect();
         self.tree = Tree::new(&boxes);
         (self.instances, self.placed, self.memory) = (instances, placed, memory);
-        self.ends.clear();
+        self.motions.clear();
         Ok(())
     }
 
-    /// Lets instances move while the shutter is open, from where they were placed to the map that stands beside the instance's number: every vertex on a
-    /// straight line. So a part that turns shrinks a little on its way: cut long turns into several frames. Those not named rest; so do all after the next
+    /// Lets instances move while the shutter is open, from where they were placed to the map that stands beside the instance's number, as [`Affine::between`] says: bodies
+    /// that only move and turn keep their shape; where the shape changes, every vertex moves on a straight line. Those not named rest; so do all after the next
     /// [`Instances::place`].
     ///
     /// # Errors
-    /// [`InstanceError::Instance`] if there is no such instance, or it would turn too far (about 100 degrees) or become flat on its way.
+    /// [`InstanceError::Instance`] if there is no such instance, or it would turn too far (170 degrees; about 100 where its shape changes too) or become flat on
+    /// its way.
     pub fn move_while_open(&mut self, ends: &[(usize, Affine)]) -> Result<(), InstanceError> {
-        let mut all = vec![None; self.instances.len()];
+        let mut motions = vec![None; self.instances.len()];
         let mut boxes: Vec<Aabb> = self.placed.iter().map(|placed| placed.bounds).collect();
         for (number, end) in ends {
             let refused = |reason| InstanceError::Instance { instance: *number, reason };
             let Some(start) = self.instances.get(*number) else {
                 return Err(refused("there is none of this number"));
             };
-            if !start.map.stays_upright(end) {
+            let motion = Motion::new(&start.map, end);
+            if !motion.stays_upright() {
                 return Err(refused("it turns too far or becomes flat while the shutter is open"));
             }
             let model = self.octrees[start.model as usize].model().bounds;
-            let last = Placed::new(&Instance { map: *end, ..*start }, &model).map_err(refused)?;
-            boxes[*number] = self.placed[*number].bounds_to(&last);
-            all[*number] = Some(*end);
+            boxes[*number] = Placed::bounds_on_way(start, &motion, &model).map_err(refused)?;
+            motions[*number] = Some(motion);
         }
         self.tree = Tree::new(&boxes);
-        self.ends = all;
+        self.motions = motions;
         Ok(())
     }
 
     /// Whether any instance moves while the shutter is open.
     pub fn are_moving(&self) -> bool {
-        self.ends.iter().zip(&self.instances).any(|(end, start)| end.is_some_and(|end| end != start.map))
+        let moves = |(motion, start): (&Option<Motion>, &Instance)| {
+            motion.as_ref().is_some_and(|motion| *motion.end() != start.map)
+        };
+        self.motions.iter().zip(&self.instances).any(moves)
     }
 
     /// An instance at `time`, if it moves.
     #[inline(always)]
     pub(super) fn moved(&self, instance: u32, time: f64) -> Option<Placed> {
-        let end = self.ends.get(instance as usize)?.as_ref()?;
-        self.moved_to(instance, end, time)
+        let motion = self.motions.get(instance as usize)?.as_ref()?;
+        self.moved_along(instance, motion, time)
     }
 
     #[inline(never)]
-    fn moved_to(&self, instance: u32, end: &Affine, time: f64) -> Option<Placed> {
+    fn moved_along(&self, instance: u32, motion: &Motion, time: f64) -> Option<Placed> {
         let start = &self.instances[instance as usize];
         let model = &self.octrees[start.model as usize].model().bounds;
         // `move_while_open` has refused ends on whose way a map is flat.
-        Placed::new(&Instance { map: start.map.between(end, time), ..*start }, model).ok()
+        Placed::new(&Instance { map: motion.at(time), ..*start }, model).ok()
     }
 
     /// The instances, in the order that numbers them.
@@ -295,7 +299,7 @@ fn ready(
 
 /// What is known of so many instances, and what making it takes.
 fn bytes_for(count: usize) -> u64 {
-    let each = size_of::<Instance>() + size_of::<Placed>() + size_of::<Aabb>() + size_of::<Option<Affine>>();
+    let each = size_of::<Instance>() + size_of::<Placed>() + size_of::<Aabb>() + size_of::<Option<Motion>>();
     (count * each) as u64 + Tree::bytes(count)
 }
 

@@ -2,7 +2,7 @@
 
 use super::instances::Instance;
 use crate::block::attributes::CornerAttributes;
-use crate::geom::{Aabb, Affine, gamma};
+use crate::geom::{Aabb, Affine, Motion, gamma};
 
 /// More than the roundings of the few operations that a bound is computed with.
 pub(super) const SLACK: f64 = 1.0 + 1e-9;
@@ -88,18 +88,33 @@ impl Placed {
         })
     }
 
-    /// A box around all vertices on their way to where they are in `end`.
-    pub fn bounds_to(&self, end: &Placed) -> Aabb {
-        let mut bounds = self.bounds;
-        bounds.merge(&end.bounds);
-        // Numbers of maps in between are off by two roundings of the numbers at the ends.
-        let (from, to) = (self.map.permanent(self.reach), end.map.permanent(self.reach));
-        for axis in 0..3 {
-            let pad = gamma(16) * (from[axis] + to[axis]);
+    /// A box around all vertices of an instance of a model with these bounds on their way; gives why there is none.
+    pub fn bounds_on_way(instance: &Instance, motion: &Motion, model: &Aabb) -> Result<Aabb, &'static str> {
+        let parts = motion.part_count();
+        let mut bounds = Aabb::EMPTY;
+        let (mut largest, mut radius) = ([0.0f64; 3], 0.0f64);
+        for part in 0..=parts {
+            let time = f64::from(part) / f64::from(parts);
+            let map = if part == parts { *motion.end() } else { motion.at(time) };
+            for map in [map, motion.at(time)] {
+                let there = Placed::new(&Instance { map, ..*instance }, model)?;
+                bounds.merge(&there.bounds);
+                let permanent = there.map.permanent(there.reach);
+                let turned = there.map.with_shift([0.0; 3]).permanent(there.reach);
+                (0..3).for_each(|axis| largest[axis] = largest[axis].max(permanent[axis]));
+                radius = radius.max(turned.iter().sum());
+            }
+        }
+        // Numbers of maps in between are off by two roundings of the numbers at the ends; where it turns by those of a rotation and of its product with
+        // the first map, of which each row adds up to no more than the radius.
+        let stray = motion.stray(radius * SLACK);
+        let turned = if stray > 0.0 { radius } else { 0.0 };
+        for (axis, largest) in largest.into_iter().enumerate() {
+            let pad = stray + gamma(32) * (2.0 * largest + 3.0 * turned);
             bounds.min[axis] -= pad;
             bounds.max[axis] += pad;
         }
-        bounds
+        Ok(bounds)
     }
 
     /// The corners of a triangle in the world, turned around if the instance is mirrored.
