@@ -1,5 +1,6 @@
 //! Writes the procedural gears at any size, so that big model files can be made without downloads.
 
+#[macro_use]
 mod common;
 
 use std::error::Error;

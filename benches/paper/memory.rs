@@ -12,7 +12,7 @@ use plot::{Line, plot_svg};
 #[path = "../../examples/common/plot.rs"]
 mod plot;
 #[path = "../../examples/common/svg.rs"]
-mod svg;
+pub mod svg;
 
 /// Anonymous and resident memory of this process in MiB, where the system tells.
 pub fn now() -> Option<[f64; 2]> {

@@ -1,14 +1,14 @@
 //! Measures every knob that trades error for time on one model, and writes what it finds as CSV, as a page and as pictures.
 
+#[macro_use]
+#[path = "../common/mod.rs"]
+mod common;
+
 mod images;
 mod model;
 mod page;
-mod plot;
 mod study;
 mod table;
-
-#[path = "../common/mod.rs"]
-mod common;
 
 use std::error::Error;
 use std::path::PathBuf;

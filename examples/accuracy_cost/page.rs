@@ -7,8 +7,8 @@ use std::path::Path;
 use outcrop::accuracy::Metric;
 use outcrop::accuracy::sweep::Measurement;
 
+use crate::common::log_plot::{Series, log_plot};
 use crate::common::svg::escape;
-use crate::plot::{Series, log_plot};
 use crate::study::{Knob, Report};
 use crate::table;
 

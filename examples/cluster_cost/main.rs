@@ -1,8 +1,10 @@
 //! What a cluster costs on this machine: `transports` measures the latency and bandwidth of each transport beside the disk's; `pair` compares two
 //! real workers with two independent processes.
 
+#[macro_use]
 #[path = "../common/mod.rs"]
 mod common;
+
 mod pair;
 mod transports;
 

@@ -1,7 +1,9 @@
 //! Makes one picture with many processes: coordinator, workers and readers over TCP or MPI, on this machine or on many.
 
+#[macro_use]
 #[path = "../common/mod.rs"]
 mod common;
+
 mod crew;
 mod network;
 mod nodes;

@@ -1,8 +1,10 @@
 //! Renders small scenes in code, one for each effect and some with several, and writes a page about what each costs.
 
-mod city;
+#[macro_use]
 #[path = "../common/mod.rs"]
 mod common;
+
+mod city;
 mod costs;
 mod instances;
 mod mesh;

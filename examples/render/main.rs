@@ -1,7 +1,9 @@
 //! Renders a scene file, a model file, a compiled file or, with no argument, procedural gears, inside a memory budget.
 
+#[macro_use]
 #[path = "../common/mod.rs"]
 mod common;
+
 mod compiled;
 mod instanced;
 mod options;

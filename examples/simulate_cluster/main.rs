@@ -3,8 +3,10 @@
 //! Scenes are traced at a small size, with counters for each cell of the picture; each traced pixel then stands for a few of the full
 //! picture. Results and what they mean: `docs/results/cluster-simulation.md`.
 
+#[macro_use]
 #[path = "../common/mod.rs"]
 mod common;
+
 #[path = "../../benches/support/paths.rs"]
 mod paths;
 #[path = "../../benches/support/plain_scheduler.rs"]

@@ -1,6 +1,6 @@
 //! A plot with logarithmic axes as SVG.
 
-use crate::common::svg::{Drawing, escape};
+use super::svg::{Drawing, escape};
 
 /// Points of one kind.
 pub struct Series {
