@@ -2,6 +2,7 @@
 
 mod support;
 
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use outcrop::error::InstanceError;
@@ -58,9 +59,20 @@ fn check(tracer: &mut InstanceTracer<'_>, world: &[Written], rays: &[Ray]) -> us
     let ignore: MaterialSet = [0, 2, 3].map(MaterialId).into_iter().collect();
     let mut filtered = vec![Occlusion::Clear; rays.len()];
     tracer.occluded(rays, Some(&ignore), &mut filtered).unwrap();
+    // Every hit of every ray, but of each third one only the first two.
+    let mut given = vec![Vec::new(); rays.len()];
+    let most = |i: usize| if i % 3 == 2 { 2 } else { usize::MAX };
+    tracer
+        .all_hits(rays, |i, hit| {
+            given[i].push((hit.t, hit.triangle, hit.material));
+            if given[i].len() == most(i) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })
+        .unwrap();
     let mut found_hits = 0;
     for (i, ray) in rays.iter().enumerate() {
         let expected = all_hits(world, ray);
+        assert_eq!(given[i], expected[..expected.len().min(most(i))], "ray {i}: {ray:?}");
+        assert_eq!(tracer.closest_hit(ray).unwrap(), hits[i]);
         let found = hits[i].map(|hit| (hit.t, hit.triangle, hit.material));
         assert_eq!(found, expected.first().copied(), "ray {i}: {ray:?}");
         if let Some(hit) = hits[i] {
@@ -404,6 +416,14 @@ fn moving_instances_are_where_the_time_of_a_ray_says() {
         let mut occlusions = vec![Occlusion::Clear; rays.len()];
         tracer.at_times(vec![time; rays.len()]);
         tracer.occluded(&rays, None, &mut occlusions).unwrap();
+        let mut given = vec![Vec::new(); rays.len()];
+        tracer.at_times(vec![time; rays.len()]);
+        tracer
+            .all_hits(&rays, |index, hit| {
+                given[index].push((hit.t, hit.triangle, hit.material));
+                ControlFlow::Continue(())
+            })
+            .unwrap();
         // Without times all are at the opening.
         let mut at_rest = vec![None; rays.len()];
         tracer.closest_hits(&rays, &mut at_rest).unwrap();
@@ -411,6 +431,7 @@ fn moving_instances_are_where_the_time_of_a_ray_says() {
             let expected = all_hits(&world, ray);
             let hit = found[index].map(|hit| (hit.t, hit.triangle, hit.material));
             assert_eq!(hit, expected.first().copied(), "{time}: {ray:?}");
+            assert_eq!(given[index], expected, "{time}: {ray:?}");
             assert_eq!(occlusions[index] == Occlusion::Blocked, !expected.is_empty());
             hits += usize::from(hit.is_some());
             moved += usize::from(found[index] != at_rest[index]);

@@ -1,5 +1,7 @@
 //! One thread's way through instances.
 
+use std::ops::ControlFlow;
+
 use super::goal::{Any, Closest, Goal};
 use super::instances::Instances;
 use super::walk::{Stack, Walk};
@@ -58,6 +60,51 @@ impl InstanceTracer<'_> {
     /// If the slices differ in length.
     pub fn closest_hits(&mut self, rays: &[Ray], hits: &mut [Option<Hit>]) -> Result<(), TraceError> {
         self.closest_hits_after(rays, &[], hits)
+    }
+
+    /// [`InstanceTracer::closest_hits`] for one ray.
+    ///
+    /// # Errors
+    /// As for [`InstanceTracer::closest_hits`].
+    pub fn closest_hit(&mut self, ray: &Ray) -> Result<Option<Hit>, TraceError> {
+        let mut hit = [None];
+        self.closest_hits(std::slice::from_ref(ray), &mut hit)?;
+        Ok(hit[0])
+    }
+
+    /// Gives every hit of each ray to `visit`, with the ray's index: the rays in their order, the hits of each by (t, triangle number), as
+    /// [`Tracer::all_hits`] does for one model. Each hit is a query for the next one behind the last: memory does not depend on the number of hits, time does.
+    ///
+    /// `visit` may end a ray with `Break`; the next ray follows.
+    ///
+    /// # Errors
+    /// As for [`InstanceTracer::closest_hits`]. Hits that were given before the error stand, and are the ray's first ones.
+    pub fn all_hits(
+        &mut self,
+        rays: &[Ray],
+        mut visit: impl FnMut(usize, &Hit) -> ControlFlow<()>,
+    ) -> Result<(), TraceError> {
+        let times = std::mem::take(&mut self.times);
+        for (index, ray) in rays.iter().enumerate() {
+            // All are admitted at first.
+            let mut after = (f64::NAN, TriangleId(0));
+            loop {
+                self.times.extend(times.get(index));
+                let mut hit = [None];
+                self.closest_hits_after(std::slice::from_ref(ray), &[after], &mut hit).map_err(|error| {
+                    match error {
+                        TraceError::InvalidRay { reason, .. } => TraceError::InvalidRay { index, reason },
+                        other => other,
+                    }
+                })?;
+                let Some(hit) = hit[0] else { break };
+                if visit(index, &hit).is_break() {
+                    break;
+                }
+                after = (hit.t, hit.triangle);
+            }
+        }
+        Ok(())
     }
 
     /// Finds for each ray the least hit by (t, triangle number) that is strictly greater than the ray's pair in `after`, or the least of all if `after`

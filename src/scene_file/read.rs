@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use toml::Spanned;
+use toml::de::{DeArray, DeTable, DeValue};
 
 use super::check;
 use super::document::Document;
@@ -209,14 +210,10 @@ struct Text<'t> {
 
 impl Text<'_> {
     fn document(&self) -> Result<Document, SceneFileError> {
-        let refused = |error: &toml::de::Error, key: String| {
-            self.error(Refused { at: error.span().unwrap_or(0..0), key, reason: error.message().to_string() })
-        };
-        let deserializer =
-            toml::Deserializer::parse(self.text).map_err(|error| refused(&error, String::new()))?;
-        serde_path_to_error::deserialize(deserializer).map_err(|error| {
-            let key = plain_key(&error.path().to_string());
-            refused(error.inner(), key)
+        toml::from_str(self.text).map_err(|error| {
+            let at = error.span().unwrap_or(0..0);
+            let key = key_at(self.text, &at);
+            self.error(Refused { at, key, reason: error.message().to_string() })
         })
     }
 
@@ -227,8 +224,39 @@ impl Text<'_> {
     }
 }
 
-/// A path of keys without what spans look like to the deserializer.
-fn plain_key(path: &str) -> String {
-    let parts = path.split('.').filter(|part| !part.starts_with("$__serde_spanned") && *part != "?");
-    parts.collect::<Vec<_>>().join(".")
+/// The keys that lead to what stands at `place`, which is that of a key or of a value; nothing if there is no such place.
+fn key_at(text: &str, place: &Range<usize>) -> String {
+    // What is no TOML has no keys.
+    let Ok(root) = DeTable::parse(text) else { return String::new() };
+    let mut tables = vec![(String::new(), root.get_ref())];
+    let mut arrays: Vec<(String, &DeArray<'_>)> = Vec::new();
+    loop {
+        let mut children = Vec::new();
+        if let Some((path, table)) = tables.pop() {
+            for (key, value) in table {
+                let dot = if path.is_empty() { "" } else { "." };
+                let child = format!("{path}{dot}{}", key.get_ref());
+                if key.span() == *place {
+                    return child;
+                }
+                children.push((child, value));
+            }
+        } else if let Some((path, array)) = arrays.pop() {
+            for (index, value) in array.iter().enumerate() {
+                children.push((format!("{path}[{index}]"), value));
+            }
+        } else {
+            return String::new();
+        }
+        for (child, value) in children {
+            if value.span() == *place {
+                return child;
+            }
+            match value.get_ref() {
+                DeValue::Table(table) => tables.push((child, table)),
+                DeValue::Array(array) => arrays.push((child, array)),
+                _ => {}
+            }
+        }
+    }
 }
