@@ -21,7 +21,8 @@ fetch() {
     if command -v apt-get >/dev/null; then
         # Of every version and exporter, many malformed on purpose.
         mkdir -p "$folder/assimp"
-        (cd "$folder/assimp" && apt-get download --quiet=2 assimp-testmodels && dpkg-deb --extract ./*.deb . && rm ./*.deb)
+        # As root apt-get would warn that it cannot do this as another user.
+        (cd "$folder/assimp" && apt-get download --quiet=2 --option APT::Sandbox::User=root assimp-testmodels && dpkg-deb --extract ./*.deb . && rm ./*.deb)
     fi
 }
 [[ -d $folder ]] || fetch
@@ -63,6 +64,7 @@ awk -F'\t' '
     { names[$1]; files[$1]++; count[$1, $2]++; files["all"]++; count["all", $2]++ }
     function row(name) { printf "| %s | %d | %d | %d | %d |\n", name, files[name], count[name, "picture"], count[name, "refused"], count[name, "failed"] }
     END { for (name in names) row(name); row("all") }' "$scratch/outcomes"
+printf '\nImages of roughness or metalness change %d of the pictures.\n' "$(grep -c '^effect *simulated: finish maps' "$folder/log.txt" || true)"
 printf '\n| files | reason |\n|---|---|\n'
 awk -F'\t' '
     $2 == "refused" {

@@ -30,8 +30,11 @@ impl Counts {
     fn of(report: &RenderReport) -> Counts {
         let pixels = f64::from(report.width) * f64::from(report.height);
         let effects = &report.effects;
-        let lookups =
-            effects.attribute_lookups + effects.texture_reads + effects.cutout_tests + effects.bump_reads;
+        let lookups = effects.attribute_lookups
+            + effects.texture_reads
+            + effects.cutout_tests
+            + effects.bump_reads
+            + effects.finish_reads;
         Counts {
             rays: effects.rays() as f64 / pixels,
             box_tests: report.trace.box_tests as f64 / pixels,

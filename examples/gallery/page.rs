@@ -109,7 +109,7 @@ impl Page {
             text.push_str(
                 "## What it saves to leave an effect out\n\n\
                  The same, where an effect is forced that the scene does not call for: simulated, and multiplied by zero. The scene is [bricks](bricks.png), matt and in direct light; direct light and\n\
-                 shadows, which that does call for, are forced on the same bricks in ambient light, by a black lamp that shines straight down, along the sides of the bricks. The picture is the same to the bit, or the example fails. Antialiasing has\n\
+                 shadows, which that does call for, are forced on the same bricks in ambient light, by a black lamp that shines along none of the sides of the bricks. The picture is the same to the bit, or the example fails. Antialiasing has\n\
                  no work that could be multiplied by zero. Effects that go on from a surface are forced for one ray at each hit, so in scenes of their own they cost more than here.\n\n",
             );
             head(&mut text, "| forced |", "|---|");

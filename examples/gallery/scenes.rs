@@ -138,6 +138,7 @@ pub fn all(budget: &MemoryBudget, quick: bool) -> Result<Vec<Entry>, Box<dyn Err
         surfaces::textures(budget)?,
         surfaces::cut_outs()?,
         surfaces::bumps()?,
+        surfaces::finishes(budget)?,
         emission()?,
         cornell_box()?,
         interior()?,

@@ -208,3 +208,48 @@ pub fn bumps() -> Result<Entry, Box<dyn Error>> {
         ("bump-maps", "A wall without bumps and one with (heights), and dents in two balls (normals)");
     Ok(Entry::new([name, title], &[Effect::BumpMaps], mesh, scene, 16))
 }
+
+pub fn finishes(budget: &MemoryBudget) -> Result<Entry, Box<dyn Error>> {
+    let mut mesh = Mesh::new();
+    ground(&mut mesh);
+    // Steel under red paint that flakes off: where it is bare it is metal, polished in the middle of the flakes.
+    let bare = |x: u32, y: u32| 0.6 * clouds(x, y, 32, 256) + 0.4 * clouds(x, y, 8, 256) - 0.5;
+    let is_bare = |x: u32, y: u32| bare(x, y) > 0.0;
+    let color = picture("paint", Encoding::Srgb, 256, |x, y| {
+        if is_bare(x, y) { [0.78, 0.77, 0.75, 1.0] } else { [0.62, 0.1, 0.08, 1.0] }
+    });
+    let finish = picture("finish", Encoding::Linear, 256, |x, y| {
+        let worn = if is_bare(x, y) { 0.55 - 2.5 * bare(x, y) } else { 0.5 + 0.4 * clouds(x, y, 16, 256) };
+        [0.0, worn.max(0.12), if is_bare(x, y) { 1.0 } else { 0.0 }, 1.0]
+    });
+    // One metal, brushed in bands.
+    let bands = picture("bands", Encoding::Linear, 256, |_, y| {
+        [0.0, if y / 16 % 2 == 0 { 0.1 } else { 0.6 }, 1.0, 1.0]
+    });
+    let of = |name: &str, colors: MaterialImages| MaterialImages {
+        roughness: Some(ImageMap::new(name)),
+        metalness: Some(ImageMap::new(name)),
+        ..colors
+    };
+    let metal = |diffuse: [f32; 3]| MaterialRecord {
+        specular: [0.04; 3],
+        metalness: 1.0,
+        roughness: 1.0,
+        exponent_by_roughness: true,
+        ..matt(diffuse)
+    };
+    let painted = mesh.material("painted steel", with(metal([1.0; 3]), of("finish", colored("paint"))));
+    let gold =
+        mesh.material("banded gold", with(metal([1.0, 0.77, 0.34]), of("bands", MaterialImages::default())));
+    mesh.globe(painted, [-0.75, 0.7, 0.0], 0.7, 32, true, [2.0, 1.0]);
+    mesh.globe(gold, [0.8, 0.6, 0.1], 0.6, 32, true, [1.0; 2]);
+    let scene = Scene::new(camera([0.0, 1.5, 4.6], [0.0, 0.6, 0.0], 38.0)?)
+        .with_environment(sky(budget)?)
+        .with_light(panel([0.0, 3.0, 2.0], 1.0, 1.0, [2.0, 2.0, 2.0]))
+        .with_textures(Textures::in_memory([color, finish, bands])?);
+    let (name, title) = (
+        "finish-maps",
+        "Steel where the paint is off, and gold in rough and smooth bands: by texel of one picture",
+    );
+    Ok(Entry::new([name, title], &[Effect::FinishMaps], mesh, scene, 25))
+}

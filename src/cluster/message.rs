@@ -10,7 +10,7 @@ use crate::render::RenderSettings;
 use crate::scene::Scene;
 
 /// The version of these messages; the first thing that a node says.
-pub const MESSAGE_VERSION: u16 = 3;
+pub const MESSAGE_VERSION: u16 = 4;
 
 /// What a node does in a cluster beside coordinating.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

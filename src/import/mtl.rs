@@ -136,6 +136,17 @@ fn image_map(path: &Path, folder: &Path, rest: &[u8]) -> Result<ImageMap, String
     Ok(map)
 }
 
+const NO_IMAGES: MaterialImages = MaterialImages {
+    diffuse: None,
+    specular: None,
+    opacity: None,
+    bump: None,
+    normal: None,
+    emission: None,
+    roughness: None,
+    metalness: None,
+};
+
 /// The statements of one material, at most one of each kind (the last one counts).
 #[derive(Default)]
 struct Block {
@@ -166,6 +177,9 @@ impl Block {
             b"map_d" => Some(&mut images.opacity),
             b"map_Bump" | b"map_bump" | b"bump" => Some(&mut images.bump),
             b"norm" | b"map_norm" | b"map_Norm" => Some(&mut images.normal),
+            b"map_Ke" => Some(&mut images.emission),
+            b"map_Pr" => Some(&mut images.roughness),
+            b"map_Pm" => Some(&mut images.metalness),
             _ => None,
         }
     }
@@ -173,7 +187,7 @@ impl Block {
     /// Adds a statement of a kind that is used; gives a reason if its shape is wrong.
     fn statement(&mut self, keyword: &[u8], rest: &[u8], line: u64) -> Option<String> {
         const COLORS: [&str; 4] = ["Kd", "Ks", "Ke", "Tf"];
-        const NUMBERS: [&str; 6] = ["Ns", "Ni", "d", "Tr", "Pr", "illum"];
+        const NUMBERS: [&str; 7] = ["Ns", "Ni", "d", "Tr", "Pr", "Pm", "illum"];
         let known = |names: &[&'static str]| names.iter().find(|name| name.as_bytes() == keyword).copied();
         let mut arguments = words(rest).filter(|word| *word != b"-halo");
         if arguments.clone().any(|word| word.len() > WORD_BYTES_MAX) {
@@ -220,8 +234,10 @@ impl Block {
             });
             parse(&self.statements)
         });
-        let (mut record, reasons) = record(self.name, material.unwrap_or_default());
-        record.images = self.images.filter(|images| images.all().next().is_some());
+        let images = self.images.filter(|images| images.all().next().is_some());
+        let (mut record, reasons) =
+            record(self.name, material.unwrap_or_default(), images.as_deref().unwrap_or(&NO_IMAGES));
+        record.images = images;
         for reason in reasons {
             report.warn(path, Some(self.line), reason);
         }
@@ -239,8 +255,8 @@ fn parse(statements: &[Statement]) -> Option<tobj::Material> {
     tobj::load_mtl_buf(&mut text.as_bytes()).ok()?.0.pop()
 }
 
-/// The record of a material, and what had to be changed about it.
-fn record(name: String, material: tobj::Material) -> (MaterialRecord, Vec<String>) {
+/// The record of a material with these pictures, and what had to be changed about it. A picture of what no statement says stands alone, times 1.
+fn record(name: String, material: tobj::Material, images: &MaterialImages) -> (MaterialRecord, Vec<String>) {
     let mut reasons = Vec::new();
     let mut value = |keyword: &str, given: Option<f32>, default: f32, range: [f32; 2]| match given {
         None => default,
@@ -263,7 +279,9 @@ fn record(name: String, material: tobj::Material) -> (MaterialRecord, Vec<String
     };
     let diffuse = color("Kd", material.diffuse, defaults.diffuse);
     let specular = color("Ks", material.specular, defaults.specular);
-    let emission = color("Ke", material.emissive, defaults.emission);
+    let or_picture = |default: f32, picture: &Option<ImageMap>| if picture.is_some() { 1.0 } else { default };
+    let emission = defaults.emission.map(|channel| or_picture(channel, &images.emission));
+    let emission = color("Ke", material.emissive, emission);
     let transmission = color("Tf", other("Tf").and_then(triple), defaults.transmission);
     let transparency = other("Tr").map(|text| 1.0 - text.parse().unwrap_or(f32::NAN));
     let opacity = value("d", material.dissolve.or(transparency), defaults.opacity, [0.0, 1.0]);
@@ -271,8 +289,12 @@ fn record(name: String, material: tobj::Material) -> (MaterialRecord, Vec<String
     // Below 1, and 0 above all, stands for "no refraction".
     let refractive_index = value("Ni", material.optical_density, 1.0, [1.0, f32::MAX]);
     // Of the extension for physically based materials; perceptual, as in glTF.
-    let roughness = other("Pr").map(|text| text.parse().unwrap_or(f32::NAN));
-    let roughness = value("Pr", roughness, defaults.roughness, [0.0, 1.0]);
+    let mut share = |keyword: &str, default: f32| {
+        let given = other(keyword).map(|text| text.parse().unwrap_or(f32::NAN));
+        value(keyword, given, default, [0.0, 1.0])
+    };
+    let roughness = share("Pr", or_picture(defaults.roughness, &images.roughness));
+    let metalness = share("Pm", or_picture(defaults.metalness, &images.metalness));
     // 3 to 9 reflect; 10 only casts shadows.
     let mirror = matches!(material.illumination_model, Some(3..=9));
     let record = MaterialRecord {
@@ -286,6 +308,8 @@ fn record(name: String, material: tobj::Material) -> (MaterialRecord, Vec<String
         refractive_index,
         mirror,
         roughness,
+        metalness,
+        exponent_by_roughness: false,
         images: None,
     };
     (record, reasons)

@@ -11,7 +11,7 @@ use crate::geom::{Aabb, Lattice, Precision};
 pub const HEADER_BYTES: usize = 256;
 
 /// The version of the format that this library writes and reads.
-pub const FORMAT_VERSION: u32 = 2;
+pub const FORMAT_VERSION: u32 = 3;
 
 /// First bytes of a compiled file. The high bit, the line ends and the control-Z show a file that went through a text
 /// conversion, as in PNG.
@@ -73,7 +73,7 @@ impl Section {
 }
 
 /// The shortest entry of the material table.
-pub(super) const MATERIAL_BYTES_MIN: u64 = 72;
+pub(super) const MATERIAL_BYTES_MIN: u64 = 76;
 
 impl Header {
     pub fn to_bytes(self) -> [u8; HEADER_BYTES] {

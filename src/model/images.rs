@@ -82,24 +82,35 @@ pub struct MaterialImages {
     pub bump: Option<ImageMap>,
     /// Normals in the frame of the texture coordinates: red along u, green along v, blue away from the surface (`norm`).
     pub normal: Option<ImageMap>,
+    /// Colours that the emitted radiance is multiplied by (`map_Ke`).
+    pub emission: Option<ImageMap>,
+    /// Numbers that the roughness is multiplied by: the green of it (`map_Pr`; glTF has roughness and metalness in one image).
+    pub roughness: Option<ImageMap>,
+    /// Numbers that the metalness is multiplied by: the blue of it (`map_Pm`).
+    pub metalness: Option<ImageMap>,
 }
 
 impl MaterialImages {
     /// Each picture, and whether it holds colours (and so is in sRGB).
     pub fn all(&self) -> impl Iterator<Item = (&ImageMap, bool)> {
-        let MaterialImages { diffuse, specular, opacity, bump, normal } = self;
-        let colors = [diffuse, specular].into_iter().flatten().map(|map| (map, true));
-        colors.chain([opacity, bump, normal].into_iter().flatten().map(|map| (map, false)))
+        let MaterialImages { diffuse, specular, opacity, bump, normal, emission, roughness, metalness } =
+            self;
+        let colors = [diffuse, specular, emission].into_iter().flatten().map(|map| (map, true));
+        let numbers = [opacity, bump, normal, roughness, metalness].into_iter().flatten();
+        colors.chain(numbers.map(|map| (map, false)))
     }
 
-    fn places(&self) -> [&Option<ImageMap>; 5] {
-        let MaterialImages { diffuse, specular, opacity, bump, normal } = self;
-        [diffuse, specular, opacity, bump, normal]
+    /// By kind.
+    fn places(&self) -> [&Option<ImageMap>; 8] {
+        let MaterialImages { diffuse, specular, opacity, bump, normal, emission, roughness, metalness } =
+            self;
+        [diffuse, specular, opacity, bump, normal, emission, roughness, metalness]
     }
 
-    fn places_mut(&mut self) -> [&mut Option<ImageMap>; 5] {
-        let MaterialImages { diffuse, specular, opacity, bump, normal } = self;
-        [diffuse, specular, opacity, bump, normal]
+    fn places_mut(&mut self) -> [&mut Option<ImageMap>; 8] {
+        let MaterialImages { diffuse, specular, opacity, bump, normal, emission, roughness, metalness } =
+            self;
+        [diffuse, specular, opacity, bump, normal, emission, roughness, metalness]
     }
 }
 
@@ -202,15 +213,21 @@ mod tests {
             specular: map("s"),
             ..Default::default()
         };
+        let last = MaterialImages {
+            emission: map("e"),
+            roughness: map("pm.png"),
+            metalness: map("pm.png"),
+            ..Default::default()
+        };
         let with = |images: MaterialImages| MaterialRecord {
             images: Some(Box::new(images)),
             ..MaterialRecord::default()
         };
-        vec![with(first), MaterialRecord::default(), with(third)]
+        vec![with(first), MaterialRecord::default(), with(third), with(last)]
     }
 
     fn read(bytes: &[u8]) -> Result<Vec<MaterialRecord>, ModelError> {
-        let mut found = vec![MaterialRecord::default(); 3];
+        let mut found = vec![MaterialRecord::default(); 4];
         parse_table(bytes, 1000, &mut found).map(|()| found)
     }
 
@@ -262,7 +279,7 @@ mod tests {
             whole += u32::from(read(&bytes[..length]).is_ok());
         }
         // Only where an image ends: the header says where the table ends.
-        assert_eq!(whole, 4);
+        assert_eq!(whole, 7);
         let (mut refused, mut sound) = (0, 0);
         for at in 0..8 * bytes.len() {
             let mut damaged = bytes.clone();

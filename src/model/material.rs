@@ -29,6 +29,12 @@ pub struct MaterialRecord {
     /// How rough mirror and glass are (`Pr`, glTF's roughness): 0 for smooth, up to 1. See [`Finish::roughness`](crate::scene::Finish::roughness), which
     /// overrides it. What neither mirrors nor refracts has no use for it.
     pub roughness: f32,
+    /// The share of the surface that is metal (`Pm`, glTF's metalness), 0 to 1. Metal mirrors the scene with reflectance `diffuse`, as rough as `roughness`
+    /// says, and lets nothing through where the rest refracts; all other terms are those of the rest.
+    pub metalness: f32,
+    /// Whether the Phong exponent follows from the roughness ([`MaterialRecord::exponent_of`]), as in glTF. `shininess` is that of `roughness` then;
+    /// where a picture says how rough the surface is, the exponent goes along.
+    pub exponent_by_roughness: bool,
     /// Pictures on the surface, if there are any.
     pub images: Option<Box<MaterialImages>>,
 }
@@ -47,6 +53,8 @@ impl Default for MaterialRecord {
             refractive_index: 1.0,
             mirror: false,
             roughness: 0.0,
+            metalness: 0.0,
+            exponent_by_roughness: false,
             images: None,
         }
     }
@@ -55,8 +63,19 @@ impl Default for MaterialRecord {
 /// Longest name that a table holds.
 const NAME_BYTES_MAX: usize = 1 << 16;
 
+/// Flags of an entry.
+const MIRROR: u32 = 1;
+const EXPONENT_BY_ROUGHNESS: u32 = 2;
+
 impl MaterialRecord {
-    fn numbers(&self) -> [f32; 16] {
+    /// The Phong exponent of a highlight that is as wide as that of a surface of such roughness (0 to 1): `2 / r^4 - 2`, from 1 to a million, beyond which it
+    /// is as good as a mirror's.
+    pub fn exponent_of(roughness: f32) -> f32 {
+        let squared = roughness * roughness;
+        (2.0 / (squared * squared) - 2.0).clamp(1.0, 1e6)
+    }
+
+    fn numbers(&self) -> [f32; 17] {
         let (d, s, e, t) = (self.diffuse, self.specular, self.emission, self.transmission);
         [
             d[0],
@@ -75,6 +94,7 @@ impl MaterialRecord {
             self.opacity,
             self.refractive_index,
             self.roughness,
+            self.metalness,
         ]
     }
 
@@ -83,9 +103,11 @@ impl MaterialRecord {
         if self.numbers().iter().any(|number| !number.is_finite()) {
             return Err("a number of a material is not finite");
         }
-        match (0.0..=1.0).contains(&self.roughness) {
-            true => Ok(()),
-            false => Err("the roughness of a material is not between 0 and 1"),
+        let is_share = |number: f32| (0.0..=1.0).contains(&number);
+        match (is_share(self.roughness), is_share(self.metalness)) {
+            (true, true) => Ok(()),
+            (false, _) => Err("the roughness of a material is not between 0 and 1"),
+            (true, false) => Err("the metalness of a material is not between 0 and 1"),
         }
     }
 
@@ -96,7 +118,9 @@ impl MaterialRecord {
         }
         self.check().map_err(|reason| ModelError::Limit { reason })?;
         out.extend(self.numbers().iter().flat_map(|number| number.to_le_bytes()));
-        out.extend_from_slice(&u32::from(self.mirror).to_le_bytes());
+        let flag = |is_set: bool, flag: u32| if is_set { flag } else { 0 };
+        let flags = flag(self.mirror, MIRROR) | flag(self.exponent_by_roughness, EXPONENT_BY_ROUGHNESS);
+        out.extend_from_slice(&flags.to_le_bytes());
         out.extend_from_slice(&(self.name.len() as u32).to_le_bytes());
         out.extend_from_slice(self.name.as_bytes());
         Ok(())
@@ -148,12 +172,11 @@ fn parse(bytes: &[u8]) -> Result<(MaterialRecord, &[u8]), &'static str> {
     let mut fields = Fields(head);
     let mut color = || [(); 3].map(|()| fields.f32());
     let (diffuse, specular, emission, transmission) = (color(), color(), color(), color());
-    let [shininess, opacity, refractive_index, roughness] = [(); 4].map(|()| fields.f32());
-    let mirror = match fields.u32() {
-        0 => false,
-        1 => true,
-        _ => return Err("a flag of a material is unknown"),
-    };
+    let [shininess, opacity, refractive_index, roughness, metalness] = [(); 5].map(|()| fields.f32());
+    let flags = fields.u32();
+    if flags & !(MIRROR | EXPONENT_BY_ROUGHNESS) != 0 {
+        return Err("a flag of a material is unknown");
+    }
     let name_bytes = fields.u32() as usize;
     if name_bytes > NAME_BYTES_MAX {
         return Err("the name of a material is too long");
@@ -169,8 +192,10 @@ fn parse(bytes: &[u8]) -> Result<(MaterialRecord, &[u8]), &'static str> {
         opacity,
         transmission,
         refractive_index,
-        mirror,
+        mirror: flags & MIRROR != 0,
         roughness,
+        metalness,
+        exponent_by_roughness: flags & EXPONENT_BY_ROUGHNESS != 0,
         images: None,
     };
     material.check()?;
@@ -196,25 +221,36 @@ mod tests {
             roughness: 1.0,
             ..brass.clone()
         };
-        vec![brass, MaterialRecord::default(), frosted]
+        let rusty =
+            MaterialRecord { metalness: 0.625, exponent_by_roughness: true, mirror: false, ..brass.clone() };
+        vec![brass, MaterialRecord::default(), frosted, rusty]
     }
 
     #[test]
     fn materials_come_back() {
         let (bytes, count) = table_bytes(&materials()).unwrap();
-        assert_eq!(bytes.len(), 3 * MATERIAL_BYTES_MIN as usize + "brass".len() + "Milchgläser".len());
+        assert_eq!(bytes.len(), 4 * MATERIAL_BYTES_MIN as usize + 2 * "brass".len() + "Milchgläser".len());
         assert_eq!(parse_table(&bytes, count, 0).unwrap(), materials());
     }
 
     #[test]
-    fn a_roughness_is_between_0_and_1() {
-        for roughness in [-0.1, 1.1, f32::NAN, f32::INFINITY] {
-            let bad = [MaterialRecord { roughness, ..MaterialRecord::default() }];
-            assert!(matches!(table_bytes(&bad), Err(ModelError::Limit { .. })), "{roughness}");
-            let (mut bytes, _) = table_bytes(&[MaterialRecord::default()]).unwrap();
-            bytes[60..64].copy_from_slice(&roughness.to_le_bytes());
-            assert!(matches!(parse_table(&bytes, 1, 0), Err(ModelError::Damaged { offset: 0, .. })));
+    fn roughness_and_metalness_are_between_0_and_1() {
+        for number in [-0.1, 1.1, f32::NAN, f32::INFINITY] {
+            let rough = MaterialRecord { roughness: number, ..MaterialRecord::default() };
+            let metal = MaterialRecord { metalness: number, ..MaterialRecord::default() };
+            for (bad, at) in [(rough, 60), (metal, 64)] {
+                assert!(matches!(table_bytes(&[bad]), Err(ModelError::Limit { .. })), "{number}");
+                let (mut bytes, _) = table_bytes(&[MaterialRecord::default()]).unwrap();
+                bytes[at..at + 4].copy_from_slice(&number.to_le_bytes());
+                assert!(matches!(parse_table(&bytes, 1, 0), Err(ModelError::Damaged { offset: 0, .. })));
+            }
         }
+    }
+
+    #[test]
+    fn exponents_are_those_of_the_roughness_and_of_a_mirror_at_most() {
+        let found = [0.0, 0.01, 0.5, 0.75, 1.0].map(MaterialRecord::exponent_of);
+        assert_eq!(found, [1e6, 1e6, 30.0, 2.0 / 0.316_406_25 - 2.0, 1.0]);
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub(crate) const CELL_RECORD_BYTES: usize = 96;
 pub(crate) const RECORD_BYTES: usize = 64;
 
 const SIGNATURE: [u8; 12] = *b"\x89outcrop\r\n\x1a~";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Written in the byte order of the machine, as the triangles are.
 const BYTE_ORDER: u32 = 0x0102_0304;
 const CHECKSUM_AT: usize = WORKING_HEADER_BYTES - 8;

@@ -62,6 +62,8 @@ pub struct EffectCounters {
     pub bump_reads: u64,
     /// Hits on surfaces that glow.
     pub glowing_hits: u64,
+    /// Lookups in pictures of roughness and metalness.
+    pub finish_reads: u64,
     /// Lookups of attributes and in pictures by forced effects, that could not matter.
     pub forced_lookups: u64,
     /// Random numbers drawn by effects; positions in pixels not counted. [`EffectCounters::numbers_of`] has those of each.
@@ -99,6 +101,7 @@ impl EffectCounters {
             cutouts_passed,
             cutout_rays,
             bump_reads,
+            finish_reads,
             forced_lookups,
             forced_rays,
         } = found;
@@ -108,17 +111,18 @@ impl EffectCounters {
         self.cutouts_passed += cutouts_passed;
         self.cutout_rays += cutout_rays;
         self.bump_reads += bump_reads;
+        self.finish_reads += finish_reads;
         self.forced_lookups += forced_lookups;
         self.forced_rays += forced_rays;
     }
 
     /// Every counter with its name.
-    pub fn fields(&self) -> [(&'static str, u64); 36] {
+    pub fn fields(&self) -> [(&'static str, u64); 37] {
         let mut copy = *self;
         copy.fields_mut().map(|(name, count)| (name, *count))
     }
 
-    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 36] {
+    fn fields_mut(&mut self) -> [(&'static str, &mut u64); 37] {
         // Taken apart, so that a new counter cannot be forgotten.
         let EffectCounters {
             samples,
@@ -148,6 +152,7 @@ impl EffectCounters {
             cutout_rays,
             bump_reads,
             glowing_hits,
+            finish_reads,
             forced_lookups,
             random_numbers,
             glossy_numbers,
@@ -186,6 +191,7 @@ impl EffectCounters {
             ("cutout_rays", cutout_rays),
             ("bump_reads", bump_reads),
             ("glowing_hits", glowing_hits),
+            ("finish_reads", finish_reads),
             ("forced_lookups", forced_lookups),
             ("random_numbers", random_numbers),
             ("glossy_numbers", glossy_numbers),
@@ -220,7 +226,8 @@ impl EffectCounters {
             | Effect::Textures
             | Effect::AlphaCutouts
             | Effect::BumpMaps
-            | Effect::Emission => 0,
+            | Effect::Emission
+            | Effect::FinishMaps => 0,
         }
     }
 

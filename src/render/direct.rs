@@ -99,7 +99,7 @@ fn received<E: EffectsOfLoop>(stage: &Stage, emitter: &Emitter, point: &Point) -
         let shader = stage.shader(point.material);
         let mut response = shader.diffuse * cosine;
         if shader.has_highlight {
-            response += highlight(shader, point, incidence.toward);
+            response += highlight(shader, shader.highlight, point, incidence.toward);
         }
         // Without rays that go on from hits, points carry everything.
         let throughput = if E::SECONDARY { point.throughput } else { DVec3::ONE };

@@ -80,7 +80,7 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         for (light, emitter) in (0u32..).zip(&stage.areas) {
             for index in 0..self.points.len() {
                 let (point, scatter) = (self.points[index], self.scatters[index]);
-                if lobes == Lobes::Rough && stage.shader(point.material).alpha == 0.0 {
+                if lobes == Lobes::Rough && self.terms(&point, &scatter).alpha == 0.0 {
                     continue;
                 }
                 let uv = scatter.walk.key.pair(scatter.vertex, Dimension::Light(light));
@@ -104,7 +104,7 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         if let Some(environment) = &stage.environment {
             for index in 0..self.points.len() {
                 let (point, scatter) = (self.points[index], self.scatters[index]);
-                if lobes == Lobes::Rough && stage.shader(point.material).alpha == 0.0 {
+                if lobes == Lobes::Rough && self.terms(&point, &scatter).alpha == 0.0 {
                     continue;
                 }
                 let uv = scatter.walk.key.pair(scatter.vertex, Dimension::Environment);
@@ -176,6 +176,12 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         DVec3::ZERO
     }
 
+    /// The terms that hold at a point.
+    fn terms(&self, point: &Point, scatter: &Scatter) -> &Shader {
+        let local = self.details.get(scatter.detail as usize);
+        local.unwrap_or_else(|| self.stage.shader(point.material))
+    }
+
     /// The surface's answer to light from the unit vector `toward`, per irradiance at perpendicular incidence over pi: each
     /// lobe's by itself, with its share against rays sampled by that lobe. `light_density` is none for lights that no ray can
     /// meet.
@@ -188,8 +194,7 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         lobes: Lobes,
     ) -> DVec3 {
         let stage = self.stage;
-        let local = self.details.get(scatter.detail as usize);
-        let shader = local.unwrap_or_else(|| stage.shader(point.material));
+        let shader = self.terms(point, scatter);
         let cosine = toward.dot(point.normal);
         let against = |own: f64| light_density.map_or(1.0, |light| share(light, own));
         let is_rough = shader.alpha > 0.0 && lobes != Lobes::Lamp;
@@ -201,11 +206,9 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
                     response *= against(cosine / PI);
                 }
             }
-            if lobes != Lobes::Rough
-                && shader.highlight != DVec3::ZERO
-                && (light_density.is_none() || !shader.reflects)
-            {
-                response += highlight(shader, point, toward);
+            let strength = if light_density.is_none() { shader.highlight } else { shader.area_highlight };
+            if lobes != Lobes::Rough && strength != DVec3::ZERO {
+                response += highlight(shader, strength, point, toward);
             }
             if is_rough
                 && let Some(lobe) =
@@ -264,11 +267,11 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
     }
 }
 
-/// Blinn's highlight.
-pub(super) fn highlight(shader: &Shader, point: &Point, toward: DVec3) -> DVec3 {
+/// Blinn's highlight of that strength.
+pub(super) fn highlight(shader: &Shader, strength: DVec3, point: &Point, toward: DVec3) -> DVec3 {
     let half = (toward + point.view).normalize_or_zero();
     let alignment = half.dot(point.normal).clamp(0.0, 1.0);
-    shader.highlight * shader.exponent.of(alignment)
+    strength * shader.exponent.of(alignment)
 }
 
 impl Stage {

@@ -216,7 +216,7 @@ impl Cluster {
         let shader = stage.shader(hit.material);
         if !shader.is_medium {
             // Paint on glass. A veil there is not told from the glass.
-            if shader.transmission == 0.0 && !self.is_opaque {
+            if shader.transmission_max == 0.0 && !self.is_opaque {
                 self.is_opaque = true;
                 self.best = Some(*hit);
             }

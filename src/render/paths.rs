@@ -81,6 +81,21 @@ struct Child {
     course: Course,
 }
 
+/// What rays leave.
+#[derive(Clone, Copy, Debug)]
+struct Leaving {
+    normal: DVec3,
+    /// Roughness, and whether it splits light by Fresnel's equations, at this place.
+    alpha: f64,
+    is_glass: bool,
+}
+
+impl Leaving {
+    fn new(shader: &Shader, normal: DVec3) -> Leaving {
+        Leaving { normal, alpha: shader.alpha, is_glass: shader.is_glass() }
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
 enum Course {
     /// As the ray came.
@@ -345,7 +360,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             // The segment that ends here ran through the inside.
             let medium = match inside {
                 Some(medium) => stage.shader(medium).absorption,
-                None if border.is_none() && is_behind && shader.transmission > 0.0 => shader.absorption,
+                None if border.is_none() && is_behind && shader.transmission_max > 0.0 => shader.absorption,
                 None => DVec3::ZERO,
             };
             if E::SAMPLED && !stage.areas.is_empty() {
@@ -372,7 +387,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                     origin: origin_on(-normal),
                     course: Course::Straight,
                 };
-                self.follow::<E>(index, &head, normal, [Some(child), None, None]);
+                self.follow::<E>(index, &head, &Leaving::new(shader, normal), [Some(child), None, None]);
                 continue;
             }
             let mut point = Point {
@@ -583,7 +598,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
                 self.choose(index, &mut children);
             }
         }
-        self.follow::<E>(index, head, point.normal, children);
+        self.follow::<E>(index, head, &Leaving::new(shader, point.normal), children);
     }
 
     /// Of several rays one goes on, by luck in proportion to what they carry, and carries for all: after a diffuse bounce a
@@ -640,7 +655,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         &mut self,
         index: usize,
         head: &Head,
-        normal: DVec3,
+        leaving: &Leaving,
         children: [Option<Child>; 3],
     ) {
         let (slot, work) = (head.slot, head.work - 1);
@@ -672,21 +687,21 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         }
         let place = slot as usize * self.stack_depth;
         for (child, share) in rays.iter().skip(1).rev() {
-            let ray = self.count_ray::<E>(index, child);
+            let ray = self.count_ray::<E>(leaving, child);
             let place = place + usize::from(self.waiting_counts[slot as usize]);
             self.waiting[place] = Some(Waiting { ray, work: *share, throughput: child.throughput });
             if E::SAMPLED {
-                self.waiting_walks[place] = Some(self.walk_on(index, normal, child));
+                self.waiting_walks[place] = Some(self.walk_on(index, leaving, child));
             }
             self.waiting_counts[slot as usize] += 1;
         }
         match rays.first() {
             Some((child, share)) if *share > 0 => {
-                let ray = self.count_ray::<E>(index, child);
+                let ray = self.count_ray::<E>(leaving, child);
                 self.next_rays.push(ray);
                 self.next_heads.push(Head { slot, work: *share, throughput: child.throughput });
                 if E::SAMPLED {
-                    let walk = self.walk_on(index, normal, child);
+                    let walk = self.walk_on(index, leaving, child);
                     self.next_walks.push(walk);
                 }
             }
@@ -706,14 +721,12 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         self.lost[slot as usize] += child.throughput.max_element() * self.stage.radiance_max();
     }
 
-    fn count_ray<E: EffectsOfLoop>(&mut self, index: usize, child: &Child) -> Ray {
+    fn count_ray<E: EffectsOfLoop>(&mut self, leaving: &Leaving, child: &Child) -> Ray {
         let counters = &mut self.counters;
         match (child.kind, child.course) {
             (Kind::Bounce, _) => counters.bounce_rays += 1,
             (_, Course::Sampled(_)) if E::SAMPLED => {
-                // The hit that it leaves is still there.
-                let is_glass = self.hits[index].is_some_and(|hit| self.stage.shader(hit.material).is_glass());
-                *if is_glass { &mut counters.frosted_rays } else { &mut counters.glossy_rays } += 1;
+                *if leaving.is_glass { &mut counters.frosted_rays } else { &mut counters.glossy_rays } += 1;
             }
             (Kind::Reflection, _) => counters.reflection_rays += 1,
             (Kind::Transmission, _) => counters.transmission_rays += 1,
@@ -721,8 +734,8 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
         Ray::new(child.origin, child.direction.to_array())
     }
 
-    /// The state of the path of `child`, which leaves the head numbered `index` at a surface with this normal.
-    fn walk_on(&self, index: usize, normal: DVec3, child: &Child) -> Walk {
+    /// The state of the path of `child`, which goes on where the ray of the head numbered `index` ends.
+    fn walk_on(&self, index: usize, leaving: &Leaving, child: &Child) -> Walk {
         let before = &self.walks[index];
         let mut walk = Walk { vertex: before.vertex.child(child.kind as u32), ..*before };
         let goes_through = child.kind == Kind::Transmission;
@@ -736,7 +749,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             Course::Sampled(density) => {
                 walk.density = density;
                 walk.from = DVec3::from_array(child.origin);
-                walk.normal = normal;
+                walk.normal = leaving.normal;
             }
         }
         walk.has_bounced |= child.kind == Kind::Bounce;
@@ -744,8 +757,7 @@ impl<'s, Q: RayQuery> PathTracer<'s, Q> {
             && let Some(hit) = &self.hits[index]
         {
             // The hit that it leaves is still there.
-            let alpha = self.stage.shader(hit.material).alpha;
-            walk.cone = before.cone.on(hit.t, alpha, child.kind == Kind::Bounce);
+            walk.cone = before.cone.on(hit.t, leaving.alpha, child.kind == Kind::Bounce);
         }
         walk
     }

@@ -272,7 +272,7 @@ impl Walker {
         // At an edge or a vertex every triangle there is hit, and the surface is crossed once.
         let Some(sense) = RayFrame::new(ray).crossing(&hit.vertices) else { return };
         let shader = stage.shader(hit.material);
-        let mut share = DVec3::splat(shader.transmission);
+        let mut share = DVec3::splat(shader.transmission_max);
         if sense == Sense::Exit && shader.absorption != DVec3::ZERO {
             counters.absorbed_segments += 1;
             let distance = (hit.t - self.crossed_t) * DVec3::from_array(ray.direction).length();

@@ -1,5 +1,6 @@
 //! Everything about a picture that stays the same while it is made, in the form that shading wants.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -14,7 +15,8 @@ use super::tiles::TileGrid;
 use crate::geom::Ray;
 use crate::model::MaterialRecord;
 use crate::scene::{
-    AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Light, Scene, Surface, View,
+    AreaEmitter, Effect, EffectPlan, Emitter, Environment, EnvironmentEmitter, Light, Scene, Surface, Terms,
+    View,
 };
 use crate::texture::{TextureCache, Textures};
 use crate::trace::{Hit, MaterialSet};
@@ -31,9 +33,13 @@ pub(crate) struct Shader {
     pub diffuse: DVec3,
     pub highlight: DVec3,
     pub has_highlight: bool,
+    /// The part of it that lights with extent show too.
+    pub area_highlight: DVec3,
     pub exponent: Exponent,
     pub mirror: DVec3,
     pub transmission: f64,
+    /// The most that passes anywhere on the material; shadows are those of this.
+    pub transmission_max: f64,
     pub absorption: DVec3,
     pub refractive_index: f64,
     /// GGX roughness of mirror and glass; 0 if smooth.
@@ -44,10 +50,8 @@ pub(crate) struct Shader {
     pub is_medium: bool,
     /// Whether lamps show on it.
     pub is_lit: bool,
-    /// Whether it looks different if its normal does.
+    /// Whether it looks different if its normal does, here or elsewhere on the material.
     pub depends_on_normal: bool,
-    /// Whether it shows lights with extent by reflection, so that a highlight would show them twice.
-    pub reflects: bool,
 }
 
 /// Exponent of a highlight.
@@ -89,7 +93,9 @@ impl Exponent {
 }
 
 impl Shader {
-    fn new(surface: &Surface, ambient: DVec3) -> Shader {
+    /// Of a material that looks so where no picture changes it, and lies between `ends` where some do.
+    fn new(surface: &Surface, ends: &[Surface], ambient: DVec3) -> Shader {
+        let anywhere = |holds: fn(&Surface) -> bool| ends.iter().any(holds);
         let diffuse = DVec3::from_array(surface.diffuse);
         Shader {
             glow: DVec3::from_array(surface.emission) + diffuse * ambient,
@@ -98,18 +104,29 @@ impl Shader {
             diffuse,
             highlight: DVec3::from_array(surface.highlight),
             has_highlight: surface.highlight != [0.0; 3],
+            area_highlight: DVec3::from_array(surface.area_highlight),
             exponent: Exponent::new(surface.exponent),
             mirror: DVec3::from_array(surface.mirror),
             transmission: surface.transmission,
+            transmission_max: ends.iter().fold(0.0, |most, end| end.transmission.max(most)),
             absorption: DVec3::from_array(surface.absorption),
             refractive_index: surface.refractive_index,
             alpha: surface.alpha,
             priority: surface.priority,
-            is_medium: surface.refracts() || surface.is_transparent() && surface.absorption != [0.0; 3],
-            is_lit: surface.is_lit() || surface.alpha > 0.0,
-            depends_on_normal: surface.depends_on_normal() || surface.alpha > 0.0,
-            reflects: surface.is_mirror() || surface.refracts(),
+            is_medium: anywhere(|end| end.refracts() || end.is_transparent() && end.absorption != [0.0; 3]),
+            is_lit: surface.is_lit(),
+            depends_on_normal: anywhere(Surface::depends_on_normal),
         }
+    }
+
+    /// Takes the terms of one place.
+    pub fn mix(&mut self, terms: &Terms) {
+        let Terms { diffuse, highlight, area_highlight, exponent, mirror, transmission, alpha } = *terms;
+        (self.diffuse, self.highlight, self.area_highlight) = (diffuse, highlight, area_highlight);
+        (self.mirror, self.transmission, self.alpha) = (mirror, transmission, alpha);
+        self.has_highlight = highlight != DVec3::ZERO;
+        self.exponent = Exponent::new(exponent);
+        self.is_lit = diffuse != DVec3::ZERO || self.has_highlight || alpha > 0.0;
     }
 
     /// Whether it splits light by Fresnel's equations.
@@ -221,9 +238,17 @@ impl Stage {
         plan: &EffectPlan,
         settings: &RenderSettings,
     ) -> Stage {
-        let surfaces: Vec<Surface> = materials.iter().map(|record| plan.surface(scene, record)).collect();
+        // The ends of what pictures can make of each material, one after the other: nearly always one.
+        let mut ends: Vec<Surface> = Vec::with_capacity(materials.len());
+        let mut ends_of: Vec<Range<usize>> = Vec::with_capacity(materials.len());
+        for record in materials {
+            let start = ends.len();
+            ends.extend(plan.ends(scene, record));
+            ends_of.push(start..ends.len());
+        }
         let materials_that = |holds: &dyn Fn(&Surface) -> bool| {
-            let chosen = surfaces.iter().zip(0..=u16::MAX).filter(|(surface, _)| holds(surface));
+            let is_any = |place: &Range<usize>| ends[place.clone()].iter().any(holds);
+            let chosen = ends_of.iter().zip(0..=u16::MAX).filter(|(place, _)| is_any(place));
             let set: MaterialSet = chosen.map(|(_, id)| MaterialId(id)).collect();
             (!set.is_empty()).then_some(set)
         };
@@ -274,8 +299,12 @@ impl Stage {
             surroundings,
             background: DVec3::from_array(scene.background().map(f64::from)),
             ambient,
-            bound: RadianceBound::new(scene, &surfaces, plan),
-            shaders: surfaces.iter().map(|surface| Shader::new(surface, ambient)).collect(),
+            bound: RadianceBound::new(scene, &ends, plan),
+            shaders: materials
+                .iter()
+                .zip(&ends_of)
+                .map(|(record, of)| Shader::new(&plan.surface(scene, record), &ends[of.clone()], ambient))
+                .collect(),
             loops: Vec::new(),
             transparent: materials_that(&|surface| surface.is_transparent()),
             straight: materials_that(&|surface| surface.is_transparent() && !surface.refracts()),
@@ -287,7 +316,7 @@ impl Stage {
             transmission: plan.has(Effect::Transmission),
             interreflection: plan.has(Effect::Interreflection),
             nested: plan.has(Effect::NestedMedia),
-            has_rough: surfaces.iter().any(|surface| surface.alpha > 0.0),
+            has_rough: ends.iter().any(|surface| surface.alpha > 0.0),
             roulette: settings.path_end == PathEnd::Roulette,
             lit_by_environment,
             force_shadows,
@@ -311,11 +340,12 @@ impl Stage {
             textures: None,
         };
         if stage.emitters.is_empty() && (force_shadows || plan.forces(Effect::DirectLight)) {
-            stage.emitters.extend(Light::directional([0.0, -1.0, 0.0], [0.0; 3]).emitter());
+            // In a direction along which no face or edge of a usual model lies: rays along a face meet far more triangles than others.
+            stage.emitters.extend(Light::directional([0.37, -1.0, -0.53], [0.0; 3]).emitter());
         }
         stage.cut_outs = cut_outs(&stage.maps, stage.transparent.as_ref());
         stage.least_loop = stage.loop_of_scene();
-        stage.loops = (0..=u16::MAX).zip(&surfaces).map(|(id, _)| stage.loops_of(MaterialId(id))).collect();
+        stage.loops = (0..=u16::MAX).zip(&ends_of).map(|(id, _)| stage.loops_of(MaterialId(id))).collect();
         stage.path_loop = stage.loops.iter().flatten().copied().fold(stage.least_loop, Loop::max);
         stage
     }
@@ -423,7 +453,10 @@ impl Stage {
 
     /// What the tables take, those needed only to make them included.
     pub fn bytes(&self) -> usize {
-        self.shaders.len() * (size_of::<Shader>() + size_of::<Surface>() + size_of::<[Loop; 2]>())
+        // Pictures make up to four ends of a material, in a list that may have doubled.
+        let ends = if self.maps.is_empty() { 1 } else { 8 };
+        let ends = ends * size_of::<Surface>() + size_of::<Range<usize>>();
+        self.shaders.len() * (size_of::<Shader>() + ends + size_of::<[Loop; 2]>())
             + self.maps.len() * size_of::<MaterialMaps>()
             + self.emitters.len() * size_of::<Emitter>()
             + self.areas.len() * size_of::<AreaEmitter>()

@@ -199,6 +199,9 @@ impl Scene {
                 (&images.opacity, Encoding::Linear, is_on(Effect::AlphaCutouts)),
                 (&images.bump, Encoding::Linear, is_on(Effect::BumpMaps)),
                 (&images.normal, Encoding::Linear, is_on(Effect::BumpMaps)),
+                (&images.emission, Encoding::Srgb, is_on(Effect::Textures) && is_on(Effect::Emission)),
+                (&images.roughness, Encoding::Linear, is_on(Effect::FinishMaps)),
+                (&images.metalness, Encoding::Linear, is_on(Effect::FinishMaps)),
             ];
             for (map, encoding, is_wanted) in maps {
                 let Some(map) = map.as_ref().filter(|_| is_wanted) else { continue };

@@ -43,11 +43,13 @@ pub enum Effect {
     BumpMaps,
     /// Surfaces that glow.
     Emission,
+    /// Roughness and metalness from image files.
+    FinishMaps,
 }
 
 impl Effect {
     /// All effects.
-    pub const ALL: [Effect; 19] = [
+    pub const ALL: [Effect; 20] = [
         Effect::DirectLight,
         Effect::Shadows,
         Effect::AreaLight,
@@ -67,6 +69,7 @@ impl Effect {
         Effect::AlphaCutouts,
         Effect::BumpMaps,
         Effect::Emission,
+        Effect::FinishMaps,
     ];
 
     /// The name used in reports.
@@ -91,6 +94,7 @@ impl Effect {
             Effect::AlphaCutouts => "alpha cut-outs",
             Effect::BumpMaps => "bump maps",
             Effect::Emission => "emission",
+            Effect::FinishMaps => "finish maps",
         }
     }
 }

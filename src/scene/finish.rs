@@ -9,7 +9,7 @@ use crate::model::MaterialRecord;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Finish {
     /// 0 is smooth. Up to 1, reflection and refraction are blurred by microfacets of the GGX distribution with `alpha = roughness^2`. Without
-    /// it the material has the roughness of its record ([`MaterialRecord::roughness`]).
+    /// it the material has the roughness of its record ([`MaterialRecord::roughness`]) and of its picture; with it none of them counts.
     pub roughness: Option<f32>,
     /// Rank of a transparent material where bodies overlap: a body of higher priority displaces those of lower. Bodies whose
     /// surfaces coincide (water in a glass) become one border. Without any priority in the scene each surface refracts
@@ -42,13 +42,18 @@ impl Finish {
         }
     }
 
-    /// GGX's alpha of a material with this finish; 0 if the surface is smooth. A record's roughness that makes no sense counts as the nearest
-    /// that does.
-    pub(super) fn alpha(&self, record: &MaterialRecord) -> f64 {
-        /// Below this a lobe is as good as a mirror, and its peak too high for sums of f64.
-        const ALPHA_MIN: f64 = 1e-3;
+    /// The roughness of a material with this finish, 0 to 1. A record's that makes no sense counts as the nearest that does.
+    pub(super) fn roughness_of(&self, record: &MaterialRecord) -> f64 {
         let roughness = f64::from(self.roughness.unwrap_or(record.roughness));
         // What is not a number is not greater than 0 either.
-        if roughness > 0.0 { (roughness * roughness).clamp(ALPHA_MIN, 1.0) } else { 0.0 }
+        if roughness > 0.0 { roughness.min(1.0) } else { 0.0 }
     }
+}
+
+/// Below this a lobe is as good as a mirror, and its peak too high for sums of f64.
+pub(super) const ALPHA_MIN: f64 = 1e-3;
+
+/// GGX's alpha of a roughness (0 to 1); 0 if the surface is smooth.
+pub(super) fn alpha_of(roughness: f64) -> f64 {
+    if roughness > 0.0 { (roughness * roughness).clamp(ALPHA_MIN, 1.0) } else { 0.0 }
 }

@@ -5,7 +5,10 @@
 
 use std::fmt::Write as _;
 
+use smallvec::SmallVec;
+
 use super::effect::{Effect, EffectOptions, EffectSet};
+use super::mixture::{Mixture, Simulated, Terms, Variation};
 use super::scan::{self, Verdict};
 use super::{Scene, Surface};
 use crate::model::{MaterialRecord, Model};
@@ -83,7 +86,7 @@ impl EffectPlan {
         are_moving: bool,
         options: &EffectOptions,
     ) -> EffectPlan {
-        let traits = scan::Traits::of(scene, materials, attributes, are_moving);
+        let traits = scan::Traits::of(scene, materials, attributes, are_moving, options);
         let mut needed = EffectSet::EMPTY;
         let mut decisions = Vec::with_capacity(Effect::ALL.len());
         // What an effect rests on comes before it, so that one left out takes those that rest on it along.
@@ -145,35 +148,51 @@ impl EffectPlan {
         text
     }
 
-    /// The shading terms of a material of `scene` with all that belongs to effects outside the plan removed.
+    /// The shading terms of a material of `scene` with all that belongs to effects outside the plan removed, where no picture changes them.
     pub fn surface(&self, scene: &Scene, record: &MaterialRecord) -> Surface {
-        let mut surface = Surface::with_finish(record, &scene.finish(record));
-        let is_lit = [Effect::DirectLight, Effect::AreaLight, Effect::EnvironmentLight];
-        if !is_lit.into_iter().any(|effect| self.has(effect)) {
-            surface.highlight = [0.0; 3];
+        let mixture = self.mixture(scene, record);
+        self.of_terms(scene, record, &mixture.at(&mixture.factors()))
+    }
+
+    /// The terms at the ends of what pictures of roughness and metalness can make of a material: see [`Mixture::ends`]. Those of
+    /// [`EffectPlan::surface`] alone if there are none.
+    pub(crate) fn ends(&self, scene: &Scene, record: &MaterialRecord) -> SmallVec<[Surface; 4]> {
+        let ends = self.mixture(scene, record).ends(self.variation(scene, record));
+        ends.iter().map(|terms| self.of_terms(scene, record, terms)).collect()
+    }
+
+    /// What pictures of roughness and metalness make of a material.
+    pub(crate) fn variation(&self, scene: &Scene, record: &MaterialRecord) -> Variation {
+        match scene.textures().filter(|_| self.has(Effect::FinishMaps)) {
+            Some(textures) => Variation::of(record, &scene.finish(record), self.makes_highlights(), textures),
+            None => Variation::default(),
         }
+    }
+
+    /// What a material is made of, less what belongs to effects outside the plan.
+    pub(crate) fn mixture(&self, scene: &Scene, record: &MaterialRecord) -> Mixture {
+        Mixture::new(record, &scene.finish(record)).simulated(&Simulated {
+            highlights: self.makes_highlights(),
+            reflection: self.has(Effect::Reflection),
+            transmission: self.has(Effect::Transmission),
+            glossy: self.has(Effect::GlossyReflection),
+            frosted: self.has(Effect::RoughRefraction),
+            keeps_energy: self.has(Effect::Interreflection),
+        })
+    }
+
+    fn makes_highlights(&self) -> bool {
+        let lights = [Effect::DirectLight, Effect::AreaLight, Effect::EnvironmentLight];
+        lights.into_iter().any(|effect| self.has(effect))
+    }
+
+    fn of_terms(&self, scene: &Scene, record: &MaterialRecord, terms: &Terms) -> Surface {
+        let mut surface = Surface::of_terms(record, &scene.finish(record), terms);
         if !self.has(Effect::Emission) {
             surface.emission = [0.0; 3];
         }
-        if !self.has(Effect::Reflection) {
-            surface.mirror = [0.0; 3];
-        }
-        if !self.has(Effect::Transmission) {
-            surface.transmission = 0.0;
-        }
         if !self.has(Effect::Absorption) {
             surface.absorption = [0.0; 3];
-        }
-        let glossy = self.has(Effect::GlossyReflection) && surface.is_mirror();
-        let frosted = self.has(Effect::RoughRefraction) && surface.refracts();
-        if glossy || frosted {
-            // The lobe is the highlight.
-            surface.highlight = [0.0; 3];
-        } else {
-            surface.alpha = 0.0;
-        }
-        if self.has(Effect::Interreflection) {
-            surface.keep_energy();
         }
         surface
     }

@@ -1,6 +1,7 @@
 //! The traits of a scene and its materials that call for effects, and the verdict on each effect in words.
 
 use super::effect::{Effect, EffectOptions, EffectSet};
+use super::mixture::{Mixture, Terms, Variation};
 use super::plan::AttributeKinds;
 use super::{Light, Scene, Surface};
 use crate::model::MaterialRecord;
@@ -38,6 +39,7 @@ pub(super) struct Traits {
     textured: Group,
     cut_out: Group,
     bumped: Group,
+    varied: Group,
     point_lights: usize,
     area_lights: usize,
     attributes: AttributeKinds,
@@ -51,13 +53,28 @@ impl Traits {
         materials: impl IntoIterator<Item = &'m MaterialRecord>,
         attributes: AttributeKinds,
         are_moving: bool,
+        options: &EffectOptions,
     ) -> Traits {
         let mut traits = Traits { attributes, are_moving, ..Traits::default() };
+        let shining = |light: &&Light| !light.is_dark();
+        traits.area_lights = scene.lights().iter().filter(shining).filter(|light| light.is_area()).count();
+        traits.point_lights = scene.lights().iter().filter(shining).count() - traits.area_lights;
+        let is_off = |effect| options.switched_off.contains(effect);
+        let finishes = scene.textures().filter(|_| attributes.uvs && !is_off(Effect::FinishMaps));
+        let is_lit = traits.point_lights + traits.area_lights > 0
+            || scene.environment().is_some_and(|environment| !environment.is_dark());
         for record in materials {
             let finish = scene.finish(record);
-            let surface = Surface::with_finish(record, &finish);
+            let variation = finishes
+                .map_or(Variation::default(), |textures| Variation::of(record, &finish, is_lit, textures));
+            traits.varied.add(variation.is_any(), record);
+            // Whatever pictures make of it.
+            let mixture = Mixture::new(record, &finish);
+            let ends = mixture.ends(variation);
+            let most = ends.iter().fold(ends[0], |most: Terms, end| most.max(end));
+            let surface = Surface::of_terms(record, &finish, &most);
             let rough = surface.alpha > 0.0;
-            traits.lit.add(surface.is_lit() || rough && (surface.is_mirror() || surface.refracts()), record);
+            traits.lit.add(surface.is_lit(), record);
             traits.diffuse.add(surface.diffuse != [0.0; 3], record);
             traits.glowing.add(surface.emission != [0.0; 3], record);
             traits.mirrors.add(surface.is_mirror(), record);
@@ -71,15 +88,16 @@ impl Traits {
                 let color = images.diffuse.as_ref().and_then(|map| textures.find(&map.path, Encoding::Srgb));
                 let has_alpha = color.is_some_and(|texture| textures.has_alpha(texture));
                 let is_bumped = images.bump.is_some() || images.normal.is_some();
-                traits.textured.add(images.diffuse.is_some() || images.specular.is_some(), record);
+                let glows = surface.emission != [0.0; 3] && !is_off(Effect::Emission);
+                let has_colors = images.diffuse.is_some()
+                    || images.specular.is_some()
+                    || images.emission.is_some() && glows;
+                traits.textured.add(has_colors, record);
                 traits.cut_out.add(images.opacity.is_some() || has_alpha, record);
                 traits.bumped.add(is_bumped && surface.depends_on_normal(), record);
             }
             traits.ranked.add(surface.is_transparent() && finish.priority.is_some(), record);
         }
-        let shining = |light: &&Light| !light.is_dark();
-        traits.area_lights = scene.lights().iter().filter(shining).filter(|light| light.is_area()).count();
-        traits.point_lights = scene.lights().iter().filter(shining).count() - traits.area_lights;
         traits
     }
 
@@ -211,6 +229,10 @@ impl Traits {
             }
             Effect::BumpMaps => {
                 self.by_images(scene, &self.bumped, ["material with bumps", "materials with bumps"])
+            }
+            Effect::FinishMaps => {
+                let nouns = ["material whose finish varies", "materials whose finish varies"];
+                self.by_images(scene, &self.varied, nouns)
             }
             Effect::Emission => match self.glowing.count {
                 0 => no("no material glows"),

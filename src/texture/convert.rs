@@ -168,9 +168,10 @@ fn write(
         };
         let (path, place) = place_of(key, folder);
         decode(&path, place, budget, &mut rows)?;
-        let has_alpha = rows.pyramid.as_ref().is_some_and(|pyramid| pyramid.has_alpha);
+        let found = rows.pyramid.as_ref().map(|pyramid| (pyramid.has_alpha, pyramid.extremes));
+        let (has_alpha, extremes) = found.unwrap_or((false, [[0; 4], [255; 4]]));
         let [width, height] = rows.size;
-        images.push(Image { key: key.clone(), width, height, first_tile, has_alpha });
+        images.push(Image { key: key.clone(), width, height, first_tile, has_alpha, extremes });
     }
     let (header, directory) = sealed(&images, &checksums, source);
     let offset = HEADER_BYTES as u64 + checksums.len() as u64 * TILE_BYTES as u64;

@@ -1,9 +1,9 @@
 //! The pictures of a model: where their tiles are, and what is known of each.
 //!
-//! The file, little-endian: header of 64 bytes (signature 12, version u32 = 1, pictures u32, tiles u32, directory offset, length, checksum
+//! The file, little-endian: header of 64 bytes (signature 12, version u32 = 2, pictures u32, tiles u32, directory offset, length, checksum
 //! u64 each, key u64, checksum of all before u64), tiles of 16,384 bytes, directory. A tile is 64 x 64 texels of four bytes, rows from
 //! the top. The directory: for each picture its width, height, first tile (u32 each), encoding (u8: 0 sRGB, 1 linear), alpha (u8), path
-//! length (u16), path; then a checksum (u64) for each tile. All checksums are XXH3-64. The key tells whether the file was made
+//! length (u16), least and greatest byte of each channel (4 each), path; then a checksum (u64) for each tile. All checksums are XXH3-64. The key tells whether the file was made
 //! from these images as they are now.
 
 use std::fs::File;
@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use super::layout::{Encoding, Image, ImageKey, Level, SIDE_MAX, TILE_BYTES, TextureId, levels, tile_count};
 use super::pyramid::{Pyramid, tile_checksum};
+use super::srgb::linear;
 use crate::block::checksum;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::TextureError;
@@ -19,7 +20,7 @@ use crate::units::Bytes;
 
 pub(super) const HEADER_BYTES: usize = 64;
 const SIGNATURE: [u8; 12] = *b"\x89outtiles\r\n\n";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Longest directory that is read: some million tiles, and paths.
 const DIRECTORY_BYTES_MAX: u64 = 1 << 30;
 
@@ -77,6 +78,7 @@ pub(super) fn sealed(images: &[Image], checksums: &[u64], key: u64) -> ([u8; HEA
         let path = image.key.path.to_string_lossy();
         // Longer ones were refused when they were read.
         directory.extend_from_slice(&(path.len() as u16).to_le_bytes());
+        directory.extend_from_slice(image.extremes.as_flattened());
         directory.extend_from_slice(path.as_bytes());
     }
     directory.extend(checksums.iter().flat_map(|sum| sum.to_le_bytes()));
@@ -124,7 +126,7 @@ impl Textures {
         let fits = offset == HEADER_BYTES as u64 + u64::from(tiles) * TILE_BYTES as u64
             && offset.checked_add(bytes) == Some(file_bytes)
             && bytes <= DIRECTORY_BYTES_MAX
-            && bytes >= 16 * u64::from(image_count) + 8 * u64::from(tiles);
+            && bytes >= 24 * u64::from(image_count) + 8 * u64::from(tiles);
         if !fits {
             return Err(damaged(16, "its counts do not fit its length"));
         }
@@ -174,7 +176,8 @@ impl Textures {
                     })
                     .unwrap_or_else(|never| match never {});
             }
-            known.push(Image { key, width, height, first_tile, has_alpha: pyramid.has_alpha });
+            let Pyramid { has_alpha, extremes, .. } = pyramid;
+            known.push(Image { key, width, height, first_tile, has_alpha, extremes });
         }
         let (tiles, path) = (Tiles::Memory(bytes), PathBuf::from("textures in memory"));
         Ok(Arc::new(Textures { images: known, checksums, key: 0, tiles, path, _memory: None }))
@@ -219,6 +222,17 @@ impl Textures {
         self.images[texture.0 as usize].has_alpha
     }
 
+    /// The least and the greatest number of red, green and blue that any texel of a picture has, as lookups give them. Those between texels and of smaller sizes
+    /// are means, and so lie between them up to rounding; where the two are the same, every lookup gives just that.
+    ///
+    /// # Panics
+    /// If there is no such picture.
+    pub(crate) fn color_ranges(&self, texture: TextureId) -> [[f64; 2]; 3] {
+        let Image { extremes, key, .. } = &self.images[texture.0 as usize];
+        let number = |byte: u8| f64::from(linear(key.encoding, f64::from(byte)));
+        [0, 1, 2].map(|channel| extremes.map(|bytes| number(bytes[channel])))
+    }
+
     pub(super) fn levels(&self, texture: TextureId) -> impl Iterator<Item = Level> + Clone + use<> {
         let image = &self.images[texture.0 as usize];
         levels(image.width, image.height, image.first_tile)
@@ -247,7 +261,7 @@ fn parse(bytes: &[u8], image_count: u32, tiles: u32) -> Option<(Vec<Image>, Vec<
     let mut images = Vec::new();
     let mut next_tile = 0u32;
     for _ in 0..image_count {
-        let (head, after) = rest.split_first_chunk::<16>()?;
+        let (head, after) = rest.split_first_chunk::<24>()?;
         let field = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
         let (width, height, first_tile) = (field(0), field(4), field(8));
         let encoding = match head[12] {
@@ -262,7 +276,11 @@ fn parse(bytes: &[u8], image_count: u32, tiles: u32) -> Option<(Vec<Image>, Vec<
         }
         next_tile = next_tile.checked_add(tile_count(width, height))?;
         let key = ImageKey { path: PathBuf::from(std::str::from_utf8(path).ok()?), encoding };
-        images.push(Image { key, width, height, first_tile, has_alpha: head[13] == 1 });
+        let extremes = [16, 20].map(|at| [0, 1, 2, 3].map(|channel| head[at + channel]));
+        if (0..4).any(|channel| extremes[0][channel] > extremes[1][channel]) {
+            return None;
+        }
+        images.push(Image { key, width, height, first_tile, has_alpha: head[13] == 1, extremes });
         rest = after;
     }
     let sums = rest.as_chunks::<8>();

@@ -42,6 +42,8 @@ pub(super) struct Image {
     pub first_tile: u32,
     /// Whether any texel is not opaque.
     pub has_alpha: bool,
+    /// The least and the greatest byte of each channel.
+    pub extremes: [[u8; 4]; 2],
 }
 
 /// One size of a picture.

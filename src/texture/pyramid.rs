@@ -13,6 +13,8 @@ pub(super) struct Pyramid {
     sizes: Vec<Size>,
     table: Table,
     pub has_alpha: bool,
+    /// The least and the greatest byte of each channel so far.
+    pub extremes: [[u8; 4]; 2],
 }
 
 /// A size of the picture on its way to tiles.
@@ -36,7 +38,12 @@ impl Pyramid {
             above: Vec::with_capacity(4 * level.width as usize),
             has_above: false,
         });
-        Pyramid { sizes: sizes.collect(), table: Table::new(encoding), has_alpha: false }
+        Pyramid {
+            sizes: sizes.collect(),
+            table: Table::new(encoding),
+            has_alpha: false,
+            extremes: [[255; 4], [0; 4]],
+        }
     }
 
     /// What it allocates, and the tile that is on its way.
@@ -47,7 +54,13 @@ impl Pyramid {
 
     /// Takes a row: four bytes for each texel.
     pub fn push<E>(&mut self, row: &[u8], sink: &mut Sink<'_, E>) -> Result<(), E> {
-        self.has_alpha |= row.as_chunks::<4>().0.iter().any(|texel| texel[3] != 255);
+        for texel in row.as_chunks::<4>().0 {
+            let [least, most] = &mut self.extremes;
+            for ((least, most), byte) in least.iter_mut().zip(most).zip(texel) {
+                (*least, *most) = ((*least).min(*byte), (*most).max(*byte));
+            }
+        }
+        self.has_alpha = self.extremes[0][3] != 255;
         let mut numbers = Vec::new();
         if self.sizes.len() > 1 {
             let texels = row.as_chunks::<4>().0.iter();

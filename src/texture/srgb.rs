@@ -9,16 +9,21 @@ pub(super) struct Table {
     steps: [f32; 255],
 }
 
+/// The number that a byte stands for, or what is between two bytes.
+pub(super) fn linear(encoding: Encoding, byte: f64) -> f32 {
+    let number = match encoding {
+        Encoding::Linear => byte / 255.0,
+        Encoding::Srgb if byte / 255.0 <= 0.04045 => byte / 255.0 / 12.92,
+        Encoding::Srgb => libm::pow((byte / 255.0 + 0.055) / 1.055, 2.4),
+    };
+    number as f32
+}
+
 impl Table {
     pub(super) fn new(encoding: Encoding) -> Table {
-        let linear = |byte: f64| match encoding {
-            Encoding::Linear => byte / 255.0,
-            Encoding::Srgb if byte / 255.0 <= 0.04045 => byte / 255.0 / 12.92,
-            Encoding::Srgb => libm::pow((byte / 255.0 + 0.055) / 1.055, 2.4),
-        };
         Table {
-            linear: std::array::from_fn(|byte| linear(byte as f64) as f32),
-            steps: std::array::from_fn(|byte| linear(byte as f64 + 0.5) as f32),
+            linear: std::array::from_fn(|byte| linear(encoding, byte as f64)),
+            steps: std::array::from_fn(|byte| linear(encoding, byte as f64 + 0.5)),
         }
     }
 

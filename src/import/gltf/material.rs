@@ -14,12 +14,11 @@ use super::document::Opened;
 use crate::error::ImportError;
 use crate::model::{ImageMap, MaterialImages, MaterialRecord};
 
-/// The material nearest to `material`. Of its textures those of base colour and normals are named.
+/// The material nearest to `material`, with the textures of base colour, normals, roughness, metalness and emission.
 ///
-/// With base colour `c`, metalness `m`, roughness `r`, transmission `T` and refractive index `n` (appendix B of the
-/// specification): `Kd = c (1 - m) (1 - T)`, `Ks = f (1 - m) + c m` with `f = ((n - 1) / (n + 1))^2`, the Phong exponent is
-/// `2 / r^4 - 2`, opacity is `1 - T` or, if blended, alpha. Roughness is the file's: perceptual, `alpha = r^2`, as that of the compiled file is. Metals
-/// (`m` above one half) mirror the scene by it and what refracts is frosted by it. Other dielectrics reflect by Fresnel, 4 % where they are faced:
+/// With base colour `c`, transmission `T` and refractive index `n` (appendix B of the specification): `Kd = c`, `Ks = ((n - 1) / (n + 1))^2`, opacity is
+/// `1 - T` or, if blended, alpha. Metalness and roughness are the file's (roughness is perceptual, `alpha = r^2`), and the Phong exponent follows from the
+/// roughness. What is metal mirrors the scene, what refracts is frosted. Other dielectrics reflect by Fresnel, 4 % where they are faced:
 /// they have a highlight of that strength and mirror nothing, so that matt things take no ray for the rest.
 pub(super) fn record(
     opened: &Opened,
@@ -36,8 +35,8 @@ pub(super) fn record(
     let refractive_index = material.ior().unwrap_or(1.5);
     let facing = ((refractive_index - 1.0) / (refractive_index + 1.0)).powi(2);
     let opacity = match material.alpha_mode() {
-        AlphaMode::Opaque => 1.0 - transmission * (1.0 - metallic),
-        AlphaMode::Blend => alpha.clamp(0.0, 1.0) * (1.0 - transmission * (1.0 - metallic)),
+        AlphaMode::Opaque => 1.0 - transmission,
+        AlphaMode::Blend => alpha.clamp(0.0, 1.0) * (1.0 - transmission),
         AlphaMode::Mask if alpha < material.alpha_cutoff().unwrap_or(0.5) => 0.0,
         AlphaMode::Mask => 1.0,
     };
@@ -49,33 +48,36 @@ pub(super) fn record(
         })
     });
     let emission = material.emissive_factor().map(|part| part * material.emissive_strength().unwrap_or(1.0));
-    if surface.metallic_roughness_texture().is_some() || material.emissive_texture().is_some() {
-        let text = "textures of metalness, roughness and emission are not read; their factors stand alone";
-        report.warn_once(opened.path(), None, text.into());
-    }
     let mut map = |texture: Texture<'_>, set: u32| image_map(opened, &texture, set, report);
-    let color = surface.base_color_texture().and_then(|info| map(info.texture(), info.tex_coord()));
+    let finish = surface.metallic_roughness_texture();
+    // A texture times nothing is not looked at.
+    let finish = finish
+        .filter(|_| roughness > 0.0 || metallic > 0.0)
+        .and_then(|info| map(info.texture(), info.tex_coord()));
+    let glow = material.emissive_texture().filter(|_| emission.iter().any(|part| *part > 0.0));
     let images = MaterialImages {
-        // What reflects like a metal has the colour in its highlight.
-        specular: color.clone().filter(|_| metallic > 0.5),
-        diffuse: color,
+        diffuse: surface.base_color_texture().and_then(|info| map(info.texture(), info.tex_coord())),
+        roughness: finish.clone().filter(|_| roughness > 0.0),
+        metalness: finish.filter(|_| metallic > 0.0),
+        emission: glow.and_then(|info| map(info.texture(), info.tex_coord())),
         normal: material.normal_texture().and_then(|info| map(info.texture(), info.tex_coord())),
         ..MaterialImages::default()
     };
     let name = material.name().map_or_else(|| format!("material {index}"), str::to_string);
     let record = MaterialRecord {
         name,
-        diffuse: factor.map(|part| part * (1.0 - metallic) * (1.0 - transmission)),
-        specular: factor.map(|part| facing * (1.0 - metallic) + part * metallic),
-        // An exponent beyond a million is a mirror's.
-        shininess: (2.0 / roughness.powi(4) - 2.0).clamp(1.0, 1e6),
+        diffuse: factor,
+        specular: [facing; 3],
+        shininess: MaterialRecord::exponent_of(roughness),
         emission,
         opacity,
         transmission: through,
         // What does not bend light has 1 in MTL.
         refractive_index: if transmission > 0.0 { refractive_index } else { 1.0 },
-        mirror: metallic > 0.5,
+        mirror: false,
         roughness,
+        metalness: metallic,
+        exponent_by_roughness: true,
         images: (images != MaterialImages::default()).then(|| Box::new(images)),
     };
     let numbers = [record.diffuse, record.specular, record.emission, record.transmission];

@@ -8,7 +8,7 @@ use super::Folder;
 use crate::error::ImportError;
 use crate::import::gltf::decode_json;
 use crate::import::{ImportOptions, ImportReport, MeshBuffer, import_file};
-use crate::model::ImageMap;
+use crate::model::{ImageMap, MaterialRecord};
 use crate::procedural::random::Random;
 
 type Outcome = Result<(MeshBuffer, ImportReport), ImportError>;
@@ -115,7 +115,8 @@ fn rich() -> Sample {
     ]);
     document["meshes"][0]["primitives"][0]["material"] = json!(0);
     document["materials"] = json!([{
-        "alphaMode": "MASK", "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "roughnessFactor": 0.5 }
+        "alphaMode": "MASK", "emissiveFactor": [1, 0.5, 0], "emissiveTexture": { "index": 0 }, "pbrMetallicRoughness": {
+            "baseColorTexture": { "index": 0 }, "metallicRoughnessTexture": { "index": 0 }, "roughnessFactor": 0.5 }
     }]);
     document["textures"] = json!([{ "source": 0, "sampler": 0 }]);
     document["samplers"] = json!([{ "wrapS": 33071, "wrapT": 10497 }]);
@@ -249,27 +250,30 @@ fn materials_become_those_of_mtl() {
     // Only what is used is there.
     let [glass] = mesh.materials.as_slice() else { panic!("{:?}", mesh.materials) };
     assert_eq!((glass.name.as_str(), glass.opacity, glass.refractive_index), ("glass", 0.0, 1.25));
-    assert_eq!((glass.diffuse, glass.emission), ([0.0; 3], [0.5, 0.0, 0.0]));
+    // The base colour is for what is not transmitted, which is nothing.
+    assert_eq!((glass.diffuse, glass.emission, glass.metalness), ([1.0; 3], [0.5, 0.0, 0.0], 0.0));
     assert!((glass.specular[0] - (0.25f32 / 2.25).powi(2)).abs() < 1e-7 && !glass.mirror);
     assert_eq!(report.materials, 1);
     let (mesh, _) = sample.with("/meshes/0/primitives/0/material", json!(1)).import().unwrap();
     let gold = &mesh.materials[0];
     assert_eq!(
-        (gold.specular, gold.diffuse, gold.mirror, gold.opacity),
-        ([1.0, 0.75, 0.25], [0.0; 3], true, 1.0)
+        (gold.metalness, gold.diffuse, gold.mirror, gold.opacity),
+        (1.0, [1.0, 0.75, 0.25], false, 1.0)
     );
+    assert!((gold.specular[0] - 0.04).abs() < 1e-7 && gold.exponent_by_roughness);
     assert_eq!((gold.roughness, glass.roughness), (0.1, 0.0));
-    // Rough metals mirror too; what is no metal has a highlight, and glass is frosted.
+    // What is in between is as much of a metal as the file says.
     let rough = |metallic: f32, roughness: f32| {
         let mut sample = sample.with("/materials/2/pbrMetallicRoughness/metallicFactor", json!(metallic));
         sample.document["materials"][2]["pbrMetallicRoughness"]["roughnessFactor"] = json!(roughness);
         let record = sample.import().unwrap().0.materials.remove(0);
-        (record.mirror, record.roughness)
+        assert_eq!(record.shininess, MaterialRecord::exponent_of(record.roughness));
+        (record.metalness, record.roughness)
     };
-    assert_eq!([rough(1.0, 0.5), rough(0.75, 1.0)], [(true, 0.5), (true, 1.0)]);
-    assert_eq!(rough(0.25, 0.5), (false, 0.5));
+    assert_eq!([rough(1.0, 0.5), rough(0.75, 1.0)], [(1.0, 0.5), (0.75, 1.0)]);
+    assert_eq!(rough(0.25, 0.5), (0.25, 0.5));
     // Beyond what the format allows.
-    assert_eq!([rough(1.0, 7.0), rough(1.0, -1.0)], [(true, 1.0), (true, 0.0)]);
+    assert_eq!([rough(1.0, 7.0), rough(7.0, -1.0)], [(1.0, 1.0), (1.0, 0.0)]);
 }
 
 #[test]
@@ -355,6 +359,32 @@ fn attributes_and_pictures_go_along() {
     let (mesh, report) = folder.import("y.glb", sample.binary()).unwrap();
     assert!(mesh.uvs.is_empty() && mesh.triangle_normals.is_empty());
     assert_eq!((report.ignored.normals, report.ignored.texture_coordinates), (8, 8));
+
+    // One image for roughness and metalness, and one for what glows; where the factor is 0 none is named.
+    let named = |factors: [f32; 3]| {
+        let [metallic, roughness, glow] = factors;
+        let mut sample = sample.clone();
+        sample.document["materials"] = json!([{
+            "pbrMetallicRoughness": {
+                "metallicRoughnessTexture": { "index": 0 }, "metallicFactor": metallic, "roughnessFactor": roughness
+            },
+            "emissiveTexture": { "index": 1 }, "emissiveFactor": [0, glow, 0]
+        }]);
+        let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
+        let path = folder.write("v.glb", sample.binary());
+        let report = import_file(&path, &ImportOptions::default(), &mut mesh).unwrap();
+        assert_eq!(report.warning_count, 0, "{:?}", report.warnings);
+        let images = mesh.materials[0].images.take().unwrap_or_default();
+        let is_part = images.emission.as_ref().is_some_and(|map| map.path.starts_with("v.glb#bytes="));
+        assert_eq!(is_part, glow > 0.0);
+        (images.metalness.map(|map| map.path), images.roughness.map(|map| map.path))
+    };
+    let picture = || Some("a picture.png".to_string());
+    assert_eq!(named([1.0, 0.5, 1.0]), (picture(), picture()));
+    assert_eq!(named([0.0, 0.5, 0.0]), (None, picture()));
+    assert_eq!(named([0.25, 0.0, 0.0]), (picture(), None));
+    assert_eq!(named([0.0, 0.0, 1.0]), (None, None));
+
     let short = sample.with("/accessors/2/count", json!(3));
     let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
     let outcome = import_file(&folder.write("z.glb", short.binary()), &ImportOptions::default(), &mut mesh);

@@ -44,6 +44,8 @@ fn statements() {
             refractive_index: 1.5,
             mirror: true,
             roughness: 0.0,
+            metalness: 0.0,
+            exponent_by_roughness: false,
             images: None,
         }
     );
@@ -59,13 +61,19 @@ fn statements() {
 }
 
 #[test]
-fn roughness_of_the_extension_for_physically_based_materials() {
+fn roughness_and_metalness_of_the_extension_for_physically_based_materials() {
     let text = b"newmtl a\nPr 0.375\nPm 1\nillum 3\nnewmtl b\nPr 7\nnewmtl c\nPr rough\nPr 0.5\nnewmtl d\nPr -1\nnewmtl e\nPr none\n\
         Prx 1\nPr";
     let (records, warnings) = library(text);
     let found: Vec<f32> = records.iter().map(|record| record.roughness).collect();
     assert_eq!(found, [0.375, 1.0, 0.5, 0.0, 0.0]);
-    let a = MaterialRecord { name: "a".into(), mirror: true, roughness: 0.375, ..MaterialRecord::default() };
+    let a = MaterialRecord {
+        name: "a".into(),
+        mirror: true,
+        roughness: 0.375,
+        metalness: 1.0,
+        ..MaterialRecord::default()
+    };
     assert_eq!(records[0], a);
     assert_eq!(warnings, ["15: `Pr` without a number; it is left out", "12: `Pr` is NaN; 0 is taken"]);
 }
@@ -133,6 +141,23 @@ fn images_are_found_and_placed() {
     assert_eq!(a.diffuse, Some(wood));
     assert_eq!(a.bump, Some(ImageMap { strength: 0.25, ..b_png() }));
     assert_eq!([&b.specular, &b.opacity, &b.normal], [&Some(b_png()), &Some(b_png()), &Some(b_png())]);
+    // A picture without a number stands alone.
+    let text = "newmtl a\nmap_Ke b.png\nmap_Pr -s 2 b.png\nmap_Pm b.png\nnewmtl b\nKe 0.5 0 0\nmap_Ke b.png\nPr 0.25\n\
+        map_Pr b.png\nPm 0\nmap_Pm b.png\nnewmtl c\nmap_Ke missing.png\n";
+    std::fs::write(&library, text).unwrap();
+    let mut records = Vec::new();
+    mtl::read(&library, Some(folder), &mut ImportReport::default(), &mut |record| {
+        records.push(record);
+        true
+    })
+    .unwrap();
+    let numbers = |record: &MaterialRecord| (record.emission, record.roughness, record.metalness);
+    let found: Vec<_> = records.iter().map(numbers).collect();
+    assert_eq!(found, [([1.0; 3], 1.0, 1.0), ([0.5, 0.0, 0.0], 0.25, 0.0), ([0.0; 3], 0.0, 0.0)]);
+    let images = records[0].images.as_ref().unwrap();
+    assert_eq!([&images.emission, &images.metalness], [&Some(b_png()), &Some(b_png())]);
+    assert_eq!(images.roughness, Some(ImageMap { scale: [2.0, 1.0], ..b_png() }));
+    assert!(records[2].images.is_none());
     let warnings: Vec<_> = report.warnings.iter().map(|warning| warning.text.as_str()).collect();
     assert_eq!(warnings.len(), 3, "{warnings:?}");
     assert!(warnings[0].contains("`missing.png` is not there") && warnings[1].contains("without an image"));

@@ -27,6 +27,9 @@ pub(super) fn mtl_text(materials: &[MaterialRecord]) -> String {
         if material.roughness != 0.0 {
             line("Pr", material.roughness.to_string());
         }
+        if material.metalness != 0.0 {
+            line("Pm", material.metalness.to_string());
+        }
         line("illum", if material.mirror { "3" } else { "2" }.to_string());
         text.push('\n');
     }
@@ -38,10 +41,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn roughness_is_said_where_there_is_any() {
+    fn roughness_and_metalness_are_said_where_there_are_any() {
         let rough = MaterialRecord { roughness: 0.375, ..MaterialRecord::default() };
         let text = |record| mtl_text(&[record]);
         assert_eq!(text(rough).replace("Pr 0.375\n", ""), text(MaterialRecord::default()));
-        assert!(!text(MaterialRecord::default()).contains("Pr"));
+        let metal = MaterialRecord { metalness: 0.25, ..MaterialRecord::default() };
+        assert_eq!(text(metal).replace("Pm 0.25\n", ""), text(MaterialRecord::default()));
+        assert!(!text(MaterialRecord::default()).contains("\nP"));
     }
 }

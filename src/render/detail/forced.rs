@@ -13,8 +13,9 @@ use super::normals::smooth;
 use super::query::{SurfaceQuery, interpolate};
 use super::{Seen, level};
 use crate::error::TraceError;
+use crate::model::MaterialRecord;
 use crate::render::query::RayQuery;
-use crate::scene::{Effect, EffectPlan, Scene};
+use crate::scene::{Effect, EffectPlan, Finish, Look, Mixture, Scene};
 use crate::texture::{Encoding, ImageKey, PixelImage, TextureId, Textures};
 use crate::trace::Hit;
 
@@ -29,12 +30,25 @@ pub(crate) fn stand_in() -> Option<Arc<Textures>> {
     Textures::in_memory([(key, texel)]).ok()
 }
 
+/// What is mixed anew at every hit where no material is.
+fn half_metal() -> Mixture {
+    let record = MaterialRecord {
+        specular: [0.5; 3],
+        metalness: 0.5,
+        roughness: 0.5,
+        exponent_by_roughness: true,
+        ..MaterialRecord::default()
+    };
+    Mixture::new(&record, &Finish::default())
+}
+
 /// Which effects are forced that the plan leaves out, and the picture that they look up.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ForcedDetails {
     normals: bool,
     textures: bool,
     bumps: bool,
+    finish: Option<Mixture>,
     pub cut_outs: bool,
     /// The scene's first, or the one in place of it.
     pub map: Placed,
@@ -50,6 +64,7 @@ impl ForcedDetails {
             normals: forces(Effect::SmoothNormals),
             textures: forces(Effect::Textures),
             bumps: forces(Effect::BumpMaps),
+            finish: forces(Effect::FinishMaps).then(half_metal),
             cut_outs: forces(Effect::AlphaCutouts),
             map: Placed::whole(first, textures.map_or([1; 2], |textures| textures.size(first))),
         };
@@ -58,7 +73,7 @@ impl ForcedDetails {
 
     /// Whether any looks up pictures.
     pub fn needs_textures(&self) -> bool {
-        self.textures || self.bumps || self.cut_outs
+        self.textures || self.bumps || self.finish.is_some() || self.cut_outs
     }
 
     /// Does at a hit what the effects would do there, cut-outs apart, which come before ([`super::query`]). Finite.
@@ -68,7 +83,7 @@ impl ForcedDetails {
         hit: &Hit,
         seen: &Seen,
     ) -> Result<DVec3, TraceError> {
-        if !(self.normals || self.textures || self.bumps) {
+        if !(self.normals || self.textures || self.bumps || self.finish.is_some()) {
             return Ok(DVec3::ZERO);
         }
         let attributes = query.forced_attributes(hit)?;
@@ -78,7 +93,7 @@ impl ForcedDetails {
             let smooth = smooth(hit, &normals, seen.geometric, seen.view);
             found += smooth.normal + smooth.lift;
         }
-        if self.textures || self.bumps {
+        if self.textures || self.bumps || self.finish.is_some() {
             let uvs = attributes.uvs.unwrap_or(STAND_IN_UVS);
             let uv = interpolate(&uvs, hit);
             let frame = TextureFrame::of(hit, &uvs);
@@ -87,6 +102,12 @@ impl ForcedDetails {
                 query.counters.forced_lookups += 1;
                 let [red, green, blue, _] = query.look_up(&self.map, uv, level)?;
                 found += DVec3::new(red, green, blue);
+            }
+            if let Some(mixture) = &self.finish {
+                query.counters.forced_lookups += 1;
+                let [_, roughness, metalness, _] = query.look_up(&self.map, uv, level)?;
+                let terms = mixture.at(&Look { roughness, metalness, ..mixture.factors() });
+                found += terms.diffuse + terms.mirror + terms.highlight * (terms.alpha + terms.exponent);
             }
             if let Some(frame) = frame.as_ref().filter(|_| self.bumps) {
                 let front = if seen.is_behind { -seen.geometric } else { seen.geometric };

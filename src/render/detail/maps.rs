@@ -2,13 +2,13 @@
 
 use super::forced::ForcedDetails;
 use crate::model::{ImageMap, MaterialRecord};
-use crate::scene::{Effect, EffectPlan, Scene};
+use crate::scene::{Effect, EffectPlan, Mixture, Scene};
 use crate::texture::{Address, Encoding, TextureId, Textures};
 use crate::trace::MaterialSet;
 use crate::units::MaterialId;
 
 /// A picture, and how it lies on a surface.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Placed {
     pub texture: TextureId,
     pub address: Address,
@@ -78,15 +78,40 @@ pub(crate) struct MaterialMaps {
     pub cut_out: Option<CutOut>,
     pub bump: Option<Placed>,
     pub normal: Option<Placed>,
+    pub emission: Option<Placed>,
+    pub roughness: Option<Placed>,
+    pub metalness: Option<Placed>,
+    /// What the material is made of, if terms are to be mixed anew wherever it is hit.
+    pub mixture: Option<Mixture>,
 }
 
 impl MaterialMaps {
-    pub const NONE: MaterialMaps =
-        MaterialMaps { diffuse: None, specular: None, cut_out: None, bump: None, normal: None };
+    pub const NONE: MaterialMaps = MaterialMaps {
+        diffuse: None,
+        specular: None,
+        cut_out: None,
+        bump: None,
+        normal: None,
+        emission: None,
+        roughness: None,
+        metalness: None,
+        mixture: None,
+    };
 
     /// Whether a hit that is there looks different by them.
     pub fn are_seen(&self) -> bool {
-        self.diffuse.is_some() || self.specular.is_some() || self.bump.is_some() || self.normal.is_some()
+        self.change_terms() || self.bump.is_some() || self.normal.is_some()
+    }
+
+    /// Whether pictures say how rough the material is, or how much of a metal.
+    pub fn change_finish(&self) -> bool {
+        self.roughness.is_some() || self.metalness.is_some()
+    }
+
+    /// Whether terms of the material are others where it is hit.
+    pub fn change_terms(&self) -> bool {
+        let colors = [&self.diffuse, &self.specular, &self.emission];
+        self.change_finish() || colors.into_iter().any(Option::is_some)
     }
 
     /// A surface of which it is asked whether it is there, and which always is.
@@ -94,7 +119,7 @@ impl MaterialMaps {
         CutOut { map, channel: CutOut::ALPHA, threshold: 0.0 }
     }
 
-    fn of(record: &MaterialRecord, textures: &Textures, plan: &EffectPlan) -> MaterialMaps {
+    fn of(record: &MaterialRecord, textures: &Textures, scene: &Scene, plan: &EffectPlan) -> MaterialMaps {
         let Some(images) = &record.images else { return MaterialMaps::NONE };
         let find = |effect, map: &Option<ImageMap>, encoding| {
             let map = map.as_ref().filter(|_| plan.has(effect))?;
@@ -103,8 +128,16 @@ impl MaterialMaps {
         let opacity = find(Effect::AlphaCutouts, &images.opacity, Encoding::Linear);
         let color = find(Effect::AlphaCutouts, &images.diffuse, Encoding::Srgb);
         let by_color = || color.filter(|map| textures.has_alpha(map.texture));
+        let glows = plan.has(Effect::Emission) && record.emission.iter().any(|channel| *channel > 0.0);
+        let variation = plan.variation(scene, record);
+        let number = |is_wanted: bool, map: &Option<ImageMap>| {
+            find(Effect::FinishMaps, map, Encoding::Linear).filter(|_| is_wanted)
+        };
+        let mixture = plan.mixture(scene, record);
+        let diffuse = find(Effect::Textures, &images.diffuse, Encoding::Srgb);
+        let has_colored_metal = mixture.metalness > 0.0 && diffuse.is_some();
         MaterialMaps {
-            diffuse: find(Effect::Textures, &images.diffuse, Encoding::Srgb),
+            diffuse,
             specular: find(Effect::Textures, &images.specular, Encoding::Srgb),
             cut_out: match opacity {
                 Some(map) => {
@@ -121,6 +154,10 @@ impl MaterialMaps {
                 Some(_) => None,
             },
             normal: find(Effect::BumpMaps, &images.normal, Encoding::Linear),
+            emission: find(Effect::Textures, &images.emission, Encoding::Srgb).filter(|_| glows),
+            roughness: number(variation.roughness.is_some(), &images.roughness),
+            metalness: number(variation.metalness.is_some(), &images.metalness),
+            mixture: Some(mixture).filter(|_| variation.is_any() || has_colored_metal),
         }
     }
 }
@@ -140,10 +177,10 @@ pub(crate) fn maps(
     plan: &EffectPlan,
     forced: Option<&ForcedDetails>,
 ) -> Vec<MaterialMaps> {
-    let effects = [Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
+    let effects = [Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps, Effect::FinishMaps];
     let mut maps: Vec<MaterialMaps> = match scene.textures() {
         Some(textures) if effects.into_iter().any(|effect| plan.has(effect)) => {
-            materials.iter().map(|record| MaterialMaps::of(record, textures, plan)).collect()
+            materials.iter().map(|record| MaterialMaps::of(record, textures, scene, plan)).collect()
         }
         _ => Vec::new(),
     };

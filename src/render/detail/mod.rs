@@ -12,13 +12,14 @@ pub(super) mod query;
 use glam::DVec3;
 
 use self::bump::{Bend, TextureFrame};
-use self::maps::Placed;
+use self::maps::{MaterialMaps, Placed};
 use self::normals::smooth;
 use self::query::{SurfaceQuery, interpolate};
 use super::counters::EffectCounters;
 use super::query::RayQuery;
 use super::stage::{Shader, Stage};
 use crate::error::TraceError;
+use crate::scene::{Look, METALNESS_CHANNEL, ROUGHNESS_CHANNEL};
 use crate::trace::Hit;
 
 /// How wide a ray is where it begins, and how much wider it becomes along a unit of its way: what of a picture it sees at once.
@@ -97,26 +98,17 @@ impl Detail {
             let found = smooth(hit, normals, seen.geometric, seen.view);
             (detail.normal, detail.lift) = (found.normal, found.lift);
         }
-        let Some(uvs) = attributes.uvs.filter(|_| maps.are_seen()) else { return Ok(detail) };
+        let Some(uvs) = attributes.uvs.filter(|_| maps.are_seen()) else {
+            if maps.change_finish() {
+                detail.shader = Some(local_terms(maps, query, shader, None, |_| f64::INFINITY)?);
+            }
+            return Ok(detail);
+        };
         let uv = interpolate(&uvs, hit);
         let frame = TextureFrame::of(hit, &uvs);
         let level = |map: &Placed| frame.as_ref().map_or(0.0, |frame| level(map, frame, seen));
-        if maps.diffuse.is_some() || maps.specular.is_some() {
-            let mut local = *shader;
-            let mut color = |map: &Placed| -> Result<DVec3, TraceError> {
-                query.counters.texture_reads += 1;
-                let [red, green, blue, _] = query.look_up(map, uv, level(map))?;
-                Ok(DVec3::new(red, green, blue))
-            };
-            if let Some(map) = &maps.diffuse {
-                local.diffuse *= color(map)?;
-            }
-            if let Some(map) = &maps.specular {
-                let color = color(map)?;
-                local.mirror *= color;
-                local.highlight *= color;
-            }
-            detail.shader = Some(local);
+        if maps.change_terms() {
+            detail.shader = Some(local_terms(maps, query, shader, Some(uv), level)?);
         }
         if let Some(frame) = &frame
             && shader.depends_on_normal
@@ -133,6 +125,54 @@ impl Detail {
         }
         Ok(detail)
     }
+}
+
+/// The terms of a material at texture coordinates; `level` says in which size a picture is looked up. Where a triangle has no coordinates, colours are not looked up,
+/// and roughness and metalness are those of its smallest size, the mean: so they are between its least and its greatest number wherever a ray may go.
+fn local_terms<Q: RayQuery>(
+    maps: &MaterialMaps,
+    query: &mut SurfaceQuery<'_, Q>,
+    shader: &Shader,
+    uv: Option<[f64; 2]>,
+    level: impl Fn(&Placed) -> f64,
+) -> Result<Shader, TraceError> {
+    let mut local = *shader;
+    let mut color = |map: &Option<Placed>| -> Result<DVec3, TraceError> {
+        let (Some(map), Some(uv)) = (map, uv) else { return Ok(DVec3::ONE) };
+        query.counters.texture_reads += 1;
+        let [red, green, blue, _] = query.look_up(map, uv, level(map))?;
+        Ok(DVec3::new(red, green, blue))
+    };
+    let (diffuse, specular) = (color(&maps.diffuse)?, color(&maps.specular)?);
+    if maps.emission.is_some() {
+        local.emission *= color(&maps.emission)?;
+        local.glows = local.emission != DVec3::ZERO;
+    }
+    let Some(mixture) = &maps.mixture else {
+        local.diffuse *= diffuse;
+        local.mirror *= specular;
+        local.highlight *= specular;
+        local.area_highlight *= specular;
+        return Ok(local);
+    };
+    let mut numbers = |map: &Placed| -> Result<[f64; 4], TraceError> {
+        query.counters.finish_reads += 1;
+        Ok(query.look_up(map, uv.unwrap_or_default(), level(map))?)
+    };
+    let roughness = maps.roughness.as_ref().map(&mut numbers).transpose()?;
+    let metalness = match &maps.metalness {
+        // glTF has both in one image.
+        both if *both == maps.roughness => roughness,
+        other => other.as_ref().map(&mut numbers).transpose()?,
+    };
+    let share = |numbers: Option<[f64; 4]>, channel: usize| numbers.map_or(1.0, |numbers| numbers[channel]);
+    local.mix(&mixture.at(&Look {
+        diffuse,
+        specular,
+        metalness: mixture.metalness * share(metalness, METALNESS_CHANNEL),
+        roughness: mixture.roughness * share(roughness, ROUGHNESS_CHANNEL),
+    }));
+    Ok(local)
 }
 
 /// The size of a picture whose texels are as wide as the ray.

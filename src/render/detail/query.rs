@@ -30,6 +30,8 @@ pub(crate) struct DetailCounters {
     pub cutout_rays: u64,
     /// Lookups in pictures of heights and normals.
     pub bump_reads: u64,
+    /// Lookups in pictures of roughness and metalness.
+    pub finish_reads: u64,
     /// Lookups of any kind, and queries, of forced effects.
     pub forced_lookups: u64,
     pub forced_rays: u64,

@@ -66,12 +66,31 @@ pub(super) fn pictures() -> Arc<Textures> {
         (key("mask", Encoding::Linear), image(&|x, y| [if is_in(x, y) { 255 } else { 0 }; 4])),
         (key("waves", Encoding::Linear), image(&|x, _| [wave(x), wave(x), wave(x), 255])),
         (key("dents", Encoding::Linear), image(&|x, y| [wave(x), wave(y), 230, 255])),
+        // From smooth to rough, and metal where the waves are high.
+        (key("finish", Encoding::Linear), image(&|x, y| [0, 4 * y as u8, wave(x), 255])),
     ])
     .unwrap()
 }
 
 pub(super) fn with_images(record: MaterialRecord, images: MaterialImages) -> MaterialRecord {
     MaterialRecord { images: Some(Box::new(images)), ..record }
+}
+
+/// With a picture of roughness and metalness.
+pub(super) fn finished(record: MaterialRecord, images: MaterialImages) -> MaterialRecord {
+    let map = || Some(ImageMap::new("finish"));
+    with_images(record, MaterialImages { roughness: map(), metalness: map(), ..images })
+}
+
+/// Metal, or what pictures make of it.
+pub(super) fn metal(reflectance: f32) -> MaterialRecord {
+    MaterialRecord {
+        metalness: 1.0,
+        roughness: 1.0,
+        specular: [0.04; 3],
+        exponent_by_roughness: true,
+        ..matt(reflectance)
+    }
 }
 
 /// A ground and two upright cards of these materials, all with texture coordinates.
@@ -126,7 +145,37 @@ pub(super) fn cases() -> Vec<Case> {
     let dents = || MaterialImages { normal: Some(ImageMap::new("dents")), ..MaterialImages::default() };
     let shiny = || MaterialRecord { specular: [0.5; 3], shininess: 20.0, mirror: true, ..matt(0.4) };
     let specular = || MaterialImages { specular: Some(ImageMap::new("chequer")), ..diffuse("chequer") };
+    let glow = || MaterialImages { emission: Some(ImageMap::new("chequer")), ..MaterialImages::default() };
+    let paint = || MaterialRecord { metalness: 0.0, ..metal(0.5) };
+    let pane = || MaterialRecord { opacity: 0.25, refractive_index: 1.4, ..metal(0.6) };
     vec![
+        case(
+            Effect::FinishMaps,
+            cards([
+                finished(metal(0.8), MaterialImages::default()),
+                finished(paint(), MaterialImages::default()),
+                finished(MaterialRecord { metalness: 0.5, ..shiny() }, diffuse("disc")),
+            ]),
+            sunny().with_textures(pictures()),
+        ),
+        case(
+            Effect::FinishMaps,
+            cards([
+                finished(metal(0.8), diffuse("chequer")),
+                finished(pane(), MaterialImages::default()),
+                finished(MaterialRecord { metalness: 0.0, ..pane() }, dents()),
+            ]),
+            sunny()
+                .with_light(panel())
+                .with_environment(sky())
+                .with_interreflection()
+                .with_textures(pictures()),
+        ),
+        case(
+            Effect::Textures,
+            cards([with_images(glowing([0.9, 0.6, 0.2]), glow()), matt(0.5), mirror(0.5)]),
+            sunny().with_textures(pictures()),
+        ),
         case(
             Effect::Textures,
             cards([with_images(matt(0.8), diffuse("chequer")), matt(0.5), with_images(shiny(), specular())]),
@@ -241,6 +290,7 @@ fn work_of(effect: Effect, counters: &EffectCounters) -> Option<u64> {
         Effect::AlphaCutouts => counters.cutout_tests + counters.cutouts_passed + counters.cutout_rays,
         Effect::BumpMaps => counters.bump_reads,
         Effect::Emission => counters.glowing_hits,
+        Effect::FinishMaps => counters.finish_reads,
     })
 }
 
@@ -292,7 +342,13 @@ fn an_effect_works_only_in_scenes_that_call_for_it() {
         assert_eq!(counters.roulette_numbers, 0, "nothing ends by roulette here");
         let forced = (counters.forced_rays, counters.forced_lookups);
         assert_eq!((forced, counters.medium_overflows), ((0, 0), 0));
-        let details = [Effect::SmoothNormals, Effect::Textures, Effect::AlphaCutouts, Effect::BumpMaps];
+        let details = [
+            Effect::SmoothNormals,
+            Effect::Textures,
+            Effect::AlphaCutouts,
+            Effect::BumpMaps,
+            Effect::FinishMaps,
+        ];
         let needs_attributes = details.into_iter().any(|effect| plan.has(effect));
         assert_eq!(counters.attribute_lookups > 0, needs_attributes, "{:?}: {counters:?}", case.effect);
     }
@@ -349,11 +405,14 @@ fn forced_effects_do_their_work() {
     assert!(hits > 150, "{hits}");
     // And a texel; and four of heights.
     assert_eq!(forced(&scene, Effect::Textures).forced_lookups, 2 * hits);
+    assert_eq!(forced(&scene, Effect::FinishMaps).forced_lookups, 2 * hits);
     assert_eq!(forced(&scene, Effect::BumpMaps).forced_lookups, 5 * hits);
     // At hits of camera rays, and of the shadow rays that are blocked.
     let cut_outs = forced(&scene, Effect::AlphaCutouts);
     assert!(cut_outs.forced_lookups > 2 * hits && cut_outs.forced_rays > 0, "{cut_outs:?}");
-    for effect in [Effect::SmoothNormals, Effect::Textures, Effect::BumpMaps, Effect::AlphaCutouts] {
+    for effect in
+        [Effect::SmoothNormals, Effect::Textures, Effect::BumpMaps, Effect::AlphaCutouts, Effect::FinishMaps]
+    {
         let counters = forced(&scene, effect);
         let undone = EffectCounters { forced_lookups: 0, forced_rays: 0, ..counters };
         assert_eq!(undone, plain, "{effect:?} is counted as forced only");

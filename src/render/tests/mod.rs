@@ -4,6 +4,7 @@
 mod adaptive;
 mod detail;
 mod effects;
+mod finish;
 mod invariance;
 #[cfg(feature = "exr")]
 mod layers;

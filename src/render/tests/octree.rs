@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::effects::{cases, pictures, with_images};
+use super::effects::{cases, finished, metal, pictures, with_images};
 use super::invariance::{settings, still_life};
 use super::*;
 use crate::LazyOctree;
@@ -269,6 +269,12 @@ fn an_effect_left_out_touches_no_block_and_reads_no_page_and_no_tile() {
         (Effect::AlphaCutouts, true, with_images(matt(0.5), disc("disc")), empty().with_textures(pictures())),
         (Effect::BumpMaps, false, with_images(matt(0.5), waves), empty().with_textures(pictures())),
         (Effect::Emission, false, MaterialRecord { emission: [1.0; 3], ..matt(0.5) }, empty()),
+        (
+            Effect::FinishMaps,
+            false,
+            finished(metal(0.8), MaterialImages::default()),
+            empty().with_textures(pictures()),
+        ),
     ];
     for (number, (effect, makes_rays, floor, scene)) in cases.into_iter().enumerate() {
         let (name, mesh) = (number.to_string(), storeys(floor));
@@ -278,7 +284,7 @@ fn an_effect_left_out_touches_no_block_and_reads_no_page_and_no_tile() {
         assert!(if makes_rays { with > plain } else { with >= plain }, "{effect:?}: {with}, {plain}");
         let basis: &[Effect] = match effect {
             // Which have their own rays.
-            Effect::GlossyReflection => &[Effect::Reflection],
+            Effect::GlossyReflection | Effect::FinishMaps => &[Effect::Reflection],
             Effect::RoughRefraction | Effect::Absorption => &[Effect::Transmission, Effect::Reflection],
             _ => &[],
         };

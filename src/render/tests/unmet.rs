@@ -1,6 +1,6 @@
 //! Surfaces that no ray meets cost nothing (I6), and where only some rays meet them, which loop their batch took does not show (I2).
 
-use super::effects::{pictures, with_images};
+use super::effects::{finished, metal, pictures, with_images};
 use super::*;
 use crate::model::{ImageMap, MaterialImages};
 use crate::render::stage::Loop;
@@ -17,6 +17,7 @@ fn kinds() -> Vec<(MaterialRecord, bool, Loop)> {
         (named(clear(1.5)), false, Loop::Sampled),
         (matt(0.6), true, Loop::Detailed),
         (with_images(matt(0.8), images), false, Loop::Detailed),
+        (finished(metal(0.8), MaterialImages::default()), false, Loop::Detailed),
     ]
 }
 
