@@ -75,9 +75,13 @@ pub fn encode(
     payload.extend(connectivity.far.iter().map(|distance| (*distance >> 8) as u8));
     let parents = &connectivity.parents;
     let encoded = match input.vertices {
-        VertexInput::Float32(floats) => vertices::encode_floats(floats, parents, columns, payload),
+        VertexInput::Float32(floats) => {
+            vertices::encode_floats(floats, (parents, connectivity.predicted), columns, payload)
+        }
         VertexInput::Lattice(coordinates) if wide => vertices::encode_wide(coordinates, parents, payload),
-        VertexInput::Lattice(coordinates) => vertices::encode_lattice(coordinates, parents, columns, payload),
+        VertexInput::Lattice(coordinates) => {
+            vertices::encode_lattice(coordinates, (parents, connectivity.predicted), columns, payload)
+        }
     };
     let gap_width = runs.put(payload);
     let material_runs = materials::encode(input.materials, payload);

@@ -130,18 +130,21 @@ impl Connectivity {
     /// A vertex is used before one with a lower index, or not at all.
     pub fn encode(&mut self, triangles: &[[u16; 3]], vertex_count: usize) -> Result<(), EncodeError> {
         let Connectivity { shapes, named, far, parents, predicted } = self;
-        shapes.clear();
-        named.clear();
+        shapes.resize(triangles.len(), 0);
         far.clear();
         parents.clear();
+        // One more, for triangles behind the last new vertex.
         parents.resize(vertex_count + 1, Parents::default());
         *predicted = 0;
+        named.clear();
+        named.reserve(3 * triangles.len());
         let mut before = [0; 3];
         let mut met = 0u32;
-        for triangle in triangles {
-            let met_before = met;
+        let mut in_order = true;
+        for (shape, triangle) in shapes.iter_mut().zip(triangles) {
+            let met_before = met as usize;
             let mut code = 0;
-            for index in *triangle {
+            for &index in triangle {
                 let source = if u32::from(index) == met {
                     met += 1;
                     NEW
@@ -154,23 +157,28 @@ impl Connectivity {
                 } else {
                     // Wraps to a large number if the vertex is not in first-use order.
                     let distance = met.wrapping_sub(u32::from(index) + 1);
-                    if distance < u32::from(FAR) {
-                        named.push(distance as u8);
-                    } else {
-                        named.push(FAR as u8);
-                        far.push(u16::try_from(distance).map_err(|_| NOT_IN_ORDER)?);
+                    named.push(distance.min(FAR.into()) as u8);
+                    if distance >= u32::from(FAR) {
+                        in_order &= distance <= u32::from(u16::MAX);
+                        far.push(distance as u16);
                     }
                     NAMED
                 };
                 code = code * SOURCES + source;
             }
-            shapes.push(code);
+            *shape = code;
             let opposite = SHAPES[usize::from(code)].opposite;
             if opposite != 0 {
-                parents[met_before as usize] = Parents(lanes(before) | opposite << 48);
+                match parents.get_mut(met_before) {
+                    Some(parents) => *parents = Parents(lanes(before) | opposite << 48),
+                    None => in_order = false,
+                }
                 *predicted += 1;
             }
             before = *triangle;
+        }
+        if !in_order {
+            return Err(NOT_IN_ORDER);
         }
         if met as usize != vertex_count {
             return Err(NOT_IN_ORDER);

@@ -159,34 +159,38 @@ pub(super) struct Encoded {
     pub base: [u64; 3],
 }
 
-/// Columns of differences: one for each kind and axis.
+/// Columns of differences, one for each axis: those of the predicted vertices, then those of the others.
 #[derive(Default)]
-pub(super) struct Columns([[Vec<u32>; 3]; 2]);
+pub(super) struct Columns([Vec<u32>; 3]);
 
-/// Appends the planes of narrow positions.
+/// Appends the planes of narrow positions. `predicted` of the `parents` are parallelograms.
+#[inline(always)]
 fn encode_narrow<C: Coordinate<Code = u32>>(
-    parents: &[Parents],
+    (parents, predicted): (&[Parents], usize),
     first: [C; 3],
     position: impl Fn(usize) -> [C; 3],
     columns: &mut Columns,
     out: &mut Vec<u8>,
 ) -> [[u8; 3]; 2] {
-    let [others, predicted] = &mut columns.0;
-    for column in others.iter_mut().chain(predicted.iter_mut()) {
-        column.clear();
+    for column in &mut columns.0 {
+        column.resize(parents.len(), 0);
     }
-    let mut used = [[0; 3]; 2];
+    let [x, y, z] = &mut columns.0;
+    let (x, y, z) = (&mut x[..parents.len()], &mut y[..parents.len()], &mut z[..parents.len()]);
+    let (mut next_predicted, mut next_other) = (0, predicted);
     differences(parents, first, position, |is_predicted, codes| {
-        let columns = if is_predicted { &mut *predicted } else { &mut *others };
-        for axis in 0..3 {
-            used[usize::from(!is_predicted)][axis] |= codes[axis];
-            columns[axis].push(codes[axis]);
-        }
+        let index = if is_predicted { next_predicted } else { next_other };
+        next_predicted += usize::from(is_predicted);
+        next_other += usize::from(!is_predicted);
+        [x[index], y[index], z[index]] = codes;
     });
-    let widths = used.map(|used| used.map(|bits| width_of(u64::from(bits))));
-    for (columns, widths) in [(&columns.0[1], widths[0]), (&columns.0[0], widths[1])] {
-        for (column, width) in columns.iter().zip(widths) {
-            split(column, width, out);
+    let mut widths = [[0; 3]; 2];
+    for (kind, widths) in widths.iter_mut().enumerate() {
+        for (column, width) in columns.0.iter().zip(widths) {
+            let (predicted, others) = column.split_at(predicted);
+            let column = if kind == 0 { predicted } else { others };
+            *width = width_of(u64::from(column.iter().fold(0, |bits, code| bits | code)));
+            split(column, *width, out);
         }
     }
     widths
@@ -195,7 +199,7 @@ fn encode_narrow<C: Coordinate<Code = u32>>(
 /// Appends the planes of `Float32` vertices (at least one, all finite).
 pub(super) fn encode_floats(
     vertices: &[[f32; 3]],
-    parents: &[Parents],
+    parents: (&[Parents], usize),
     columns: &mut Columns,
     out: &mut Vec<u8>,
 ) -> Encoded {
@@ -207,7 +211,7 @@ pub(super) fn encode_floats(
 /// Appends the planes of narrow lattice vertices (at least one).
 pub(super) fn encode_lattice(
     vertices: &[[i64; 3]],
-    parents: &[Parents],
+    parents: (&[Parents], usize),
     columns: &mut Columns,
     out: &mut Vec<u8>,
 ) -> Encoded {

@@ -5,7 +5,7 @@ use super::cut::{Box4, Cutter, Piece};
 use super::point::{Point, Real};
 use crate::block::{self, BlockInput, BlockLimits, Codec, EncodeScratch};
 use crate::error::CompileError;
-use crate::geom::{Aabb, Precision, is_degenerate};
+use crate::geom::{Aabb, Precision, count_degenerate};
 use crate::model::{CellEntry, SubBoxes};
 
 /// How blocks are to be made.
@@ -57,7 +57,7 @@ pub(super) struct BlockMaker<P: Point> {
     triangles: Vec<[u16; 3]>,
     ids: Vec<u64>,
     materials: Vec<u16>,
-    duplicates: DuplicateTable,
+    duplicates: Duplicates,
     scratch: EncodeScratch,
     stored: Vec<u8>,
 }
@@ -73,7 +73,7 @@ impl<P: Point> BlockMaker<P> {
             triangles: Vec::new(),
             ids: Vec::new(),
             materials: Vec::new(),
-            duplicates: DuplicateTable::new(settings.limits),
+            duplicates: Duplicates::default(),
             scratch: EncodeScratch::with_limits(settings.limits),
             stored: Vec::new(),
         }
@@ -99,8 +99,9 @@ impl<P: Point> BlockMaker<P> {
         let count = bucket.triangles.len();
         cutter.boxes.clear();
         cutter.boxes.extend(bucket.triangles.iter().map(|triangle| {
-            let real = |corner: usize| bucket.vertices[triangle[corner] as usize].real();
-            Box4::of(real(0), real(1), real(2))
+            let [a, b, c] = *triangle;
+            let quad = |vertex: u32| P::quad(&bucket.vertices, vertex as usize);
+            Box4::of(quad(a), quad(b), quad(c))
         }));
         cutter.order.clear();
         cutter.order.extend(0..count as u32);
@@ -164,31 +165,33 @@ impl<P: Point> BlockMaker<P> {
 
     /// Collects the block of a piece; false if it is larger than a block may be.
     fn gather(&mut self, bucket: &Bucket<P>, piece: &Piece, number: u32) -> bool {
-        self.vertices.clear();
-        self.triangles.clear();
-        self.ids.clear();
-        self.materials.clear();
-        let vertex_count_max = self.settings.limits.vertex_count_max();
-        for &index in &self.cutter.order[piece.start..piece.start + piece.len] {
-            let index = index as usize;
-            let mut corners = [0; 3];
-            for (corner, vertex) in corners.iter_mut().zip(bucket.triangles[index]) {
-                let entry = &mut self.local_of[vertex as usize];
+        let BlockMaker { settings, cutter, local_of, vertices, triangles, ids, materials, .. } = self;
+        vertices.clear();
+        triangles.clear();
+        ids.clear();
+        materials.clear();
+        let order = &cutter.order[piece.start..piece.start + piece.len];
+        // No piece has more triangles than a block may have, so that even three times as many vertices have 16-bit numbers.
+        debug_assert!(3 * piece.len < 1 << 16);
+        triangles.resize(piece.len, [0; 3]);
+        // Loops over slices and numbers of their own: what a closure has by reference is loaded and stored again and again.
+        let (all, local_of) = (&bucket.vertices[..], &mut local_of[..]);
+        for (corners, &index) in triangles.iter_mut().zip(order) {
+            let triangle = bucket.triangles[index as usize];
+            for corner in 0..3 {
+                let vertex = triangle[corner] as usize;
+                let entry = &mut local_of[vertex];
                 if *entry >> 16 != number {
-                    *entry = number << 16 | self.vertices.len() as u32;
-                    self.vertices.push(bucket.vertices[vertex as usize]);
+                    *entry = number << 16 | vertices.len() as u32;
+                    vertices.push(all[vertex]);
                 }
-                *corner = *entry as u16;
+                corners[corner] = *entry as u16;
             }
-            if self.vertices.len() > vertex_count_max {
-                return false;
-            }
-            self.triangles.push(corners);
-            self.ids.push(bucket.ids[index]);
-            self.materials.push(bucket.materials[index]);
         }
-        let wide = P::is_wide(&self.vertices, self.settings.precision);
-        self.settings.limits.fits(self.vertices.len(), self.triangles.len(), wide)
+        ids.extend(order.iter().map(|&index| bucket.ids[index as usize]));
+        materials.extend(order.iter().map(|&index| bucket.materials[index as usize]));
+        let wide = P::is_wide(vertices, settings.precision);
+        settings.limits.fits(vertices.len(), triangles.len(), wide)
     }
 
     fn encode_block(&mut self, piece: &Piece, out: &mut EncodedBucket) -> Result<(), CompileError> {
@@ -201,17 +204,17 @@ impl<P: Point> BlockMaker<P> {
         };
         block::encode(&input, precision, limits, codec, &mut self.scratch, &mut self.stored)?;
         out.bytes.extend_from_slice(&self.stored);
-        out.duplicates += self.duplicates.count(&self.triangles);
+        out.duplicates += self.duplicates.count(&self.triangles, self.vertices.len());
         out.degenerate += self.degenerate_count();
         // A coordinate times the unit is exact: 1, or a power of two with coordinates of at most 53 bits.
         let unit = self.settings.unit();
         let to_space =
             |bounds: &Aabb| Aabb { min: bounds.min.map(|x| x * unit), max: bounds.max.map(|x| x * unit) };
-        let mut bounds = Aabb::EMPTY;
-        for vertex in &self.vertices {
-            bounds.grow(vertex.real().map(Real::to_f64));
+        let mut bounds = Box4::<P::Real>::empty();
+        for vertex in 0..self.vertices.len() {
+            bounds.grow(P::quad(&self.vertices, vertex));
         }
-        let bounds = to_space(&bounds);
+        let bounds = to_space(&bounds.to_aabb());
         let sub_boxes = piece.sub_boxes.map(|part| to_space(&part));
         let materials = self.materials.iter();
         let range =
@@ -229,57 +232,77 @@ impl<P: Point> BlockMaker<P> {
 
     /// Triangles of exactly zero area.
     fn degenerate_count(&self) -> u64 {
-        let position = |corner: u16| {
-            let [x, y, z] = self.vertices[usize::from(corner)].real();
-            [x.to_f64(), y.to_f64(), z.to_f64()]
-        };
-        let mut count = 0;
-        for &[a, b, c] in &self.triangles {
-            count += u64::from(is_degenerate(&[position(a), position(b), position(c)]));
-        }
-        count
+        count_degenerate(&self.triangles, |corner| self.vertices[usize::from(corner)].real(), Real::to_f64)
     }
 }
 
 /// Finds triangles of one block with the same three vertices, in any order.
-struct DuplicateTable {
-    /// `vertices << 16 | block number`: entries of earlier blocks need no clearing.
-    slots: Vec<u64>,
-    number: u64,
+///
+/// Triangles whose greatest vertex is the same stand in a list. Vertices are numbered in the order of their first use, so that most
+/// triangles are alone in theirs, and what is looked at lies close together.
+#[derive(Default)]
+struct Duplicates {
+    /// The last triangle in the list of each vertex, or [`NO_TRIANGLE`].
+    last: Vec<u16>,
+    /// Of each triangle: the other two vertices, and the triangle before it in its list.
+    links: Vec<([u16; 2], u16)>,
 }
 
-impl DuplicateTable {
-    fn new(limits: BlockLimits) -> DuplicateTable {
-        DuplicateTable { slots: vec![0; (2 * limits.triangle_count_max()).next_power_of_two()], number: 0 }
-    }
+/// More than any block has.
+const NO_TRIANGLE: u16 = u16::MAX;
 
-    /// How many triangles have the vertices of one before them.
-    fn count(&mut self, triangles: &[[u16; 3]]) -> u64 {
-        self.number += 1;
-        if self.number == 1 << 16 {
-            self.slots.fill(0);
-            self.number = 1;
-        }
-        let mask = self.slots.len() - 1;
+impl Duplicates {
+    /// How many triangles have the vertices of one before them. All vertices are below `vertex_count`.
+    fn count(&mut self, triangles: &[[u16; 3]], vertex_count: usize) -> u64 {
+        self.last.clear();
+        self.last.resize(vertex_count, NO_TRIANGLE);
+        self.links.resize(triangles.len(), ([0; 2], NO_TRIANGLE));
+        let (last, links) = (&mut self.last[..], &mut self.links[..]);
         let mut duplicates = 0;
-        for &[a, b, c] in triangles {
+        for (index, &[a, b, c]) in triangles.iter().enumerate() {
             let (low, high) = (a.min(b), a.max(b));
-            let (a, b, c) = (low.min(c), low.max(c.min(high)), high.max(c));
-            let entry = u64::from(a) << 48 | u64::from(b) << 32 | u64::from(c) << 16 | self.number;
-            let hash = entry.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            let mut slot = (hash >> 32) as usize & mask;
-            loop {
-                if self.slots[slot] == entry {
+            let others = [low.min(c), low.max(c.min(high))];
+            let last = &mut last[usize::from(high.max(c))];
+            let mut earlier = *last;
+            while earlier != NO_TRIANGLE {
+                let (vertices, before) = links[usize::from(earlier)];
+                if vertices == others {
                     duplicates += 1;
                     break;
                 }
-                if self.slots[slot] & 0xffff != self.number {
-                    self.slots[slot] = entry;
-                    break;
-                }
-                slot = (slot + 1) & mask;
+                earlier = before;
             }
+            links[index] = (others, *last);
+            *last = index as u16;
         }
         duplicates
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::procedural::random::Random;
+
+    #[test]
+    fn duplicates_are_counted_as_a_set_does() {
+        let mut random = Random::new(9);
+        let mut duplicates = Duplicates::default();
+        for round in 0..300 {
+            // Few vertices and many triangles, and the other way round; also corners that coincide.
+            let vertices = 1 + random.next_u64() as usize % [6, 40, 900][round % 3];
+            let count = random.next_u64() as usize % 200;
+            let triangles: Vec<[u16; 3]> =
+                (0..count).map(|_| [0; 3].map(|_| (random.next_u64() as usize % vertices) as u16)).collect();
+            let sets: std::collections::HashSet<[u16; 3]> = triangles
+                .iter()
+                .map(|triangle| {
+                    let mut sorted = *triangle;
+                    sorted.sort_unstable();
+                    sorted
+                })
+                .collect();
+            assert_eq!(duplicates.count(&triangles, vertices), (count - sets.len()) as u64);
+        }
     }
 }

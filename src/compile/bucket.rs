@@ -4,9 +4,13 @@ use super::chunk::{Chunk, ChunkRecord};
 use super::point::Point;
 use super::spill::Spill;
 use crate::error::CompileError;
+use crate::simd::prefetch;
 
 /// Most triangles that are read back as one bucket; larger ones are parted first.
 pub(super) const BUCKET_TRIANGLES_MAX: u64 = 128 << 10;
+
+/// Vertices whose places in the table are asked for at once.
+const PREFETCHED: usize = 64;
 
 /// The triangles of a bucket; keeps its memory from one to the next.
 #[derive(Debug)]
@@ -39,7 +43,7 @@ impl<P: Point> Bucket<P> {
 
     /// Memory that a bucket of these counts takes at most.
     pub(super) fn bytes_for(triangles: u64, vertices: u64) -> u64 {
-        let table = 4 * (2 * vertices).next_power_of_two();
+        let table = 4 * (vertices + vertices / 3 + 1).next_power_of_two();
         vertices * size_of::<P>() as u64 + table + triangles * (12 + 8 + 2) + (256 << 10)
     }
 
@@ -64,8 +68,9 @@ impl<P: Point> Bucket<P> {
         self.triangles.clear();
         self.ids.clear();
         self.materials.clear();
+        // At most three quarters full; larger ones cost more in cache misses than they save in steps.
         self.table.clear();
-        self.table.resize((2 * vertices).next_power_of_two(), 0);
+        self.table.resize((vertices + vertices / 3 + 1).next_power_of_two(), 0);
     }
 
     /// Reads a cell of a working file: chunks, each with its length before it. Nothing is believed (I5): false if the
@@ -95,20 +100,27 @@ impl<P: Point> Bucket<P> {
         let Bucket { vertices, triangles, ids, materials, table, merged, chunk, .. } = self;
         let mask = table.len() - 1;
         merged.clear();
-        for &vertex in &chunk.vertices {
-            let mut slot = vertex.hash() as usize & mask;
-            let index = loop {
-                match table[slot] {
-                    0 => {
-                        vertices.push(vertex);
-                        table[slot] = vertices.len() as u32;
-                        break vertices.len() as u32 - 1;
+        merged.resize(chunk.vertices.len(), 0);
+        for (part, merged) in chunk.vertices.chunks(PREFETCHED).zip(merged.chunks_mut(PREFETCHED)) {
+            // The table is larger than the first caches: ask for all places, then go there.
+            for (slot, vertex) in merged.iter_mut().zip(part) {
+                *slot = vertex.hash() as u32 & mask as u32;
+                prefetch(table, *slot as usize);
+            }
+            for (merged, &vertex) in merged.iter_mut().zip(part) {
+                let mut slot = *merged as usize;
+                *merged = loop {
+                    match table[slot & mask] {
+                        0 => {
+                            vertices.push(vertex);
+                            table[slot & mask] = vertices.len() as u32;
+                            break vertices.len() as u32 - 1;
+                        }
+                        entry if vertices[entry as usize - 1].same(vertex) => break entry - 1,
+                        _ => slot += 1,
                     }
-                    entry if vertices[entry as usize - 1].same(vertex) => break entry - 1,
-                    _ => slot = (slot + 1) & mask,
-                }
-            };
-            merged.push(index);
+                };
+            }
         }
         let at = |corner: u16| merged[usize::from(corner)];
         triangles.extend(chunk.triangles.iter().map(|&[a, b, c]| [at(a), at(b), at(c)]));

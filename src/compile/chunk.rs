@@ -40,7 +40,7 @@ pub(super) struct ChunkRecord {
 #[derive(Debug)]
 pub(super) struct ChunkWriter<P> {
     /// Vertex, local index and the number of the chunk: `stamp << 48 | local << 32 | vertex`. Old entries need no clearing.
-    table: Vec<u64>,
+    table: Box<[u64; TABLE_SLOTS]>,
     stamp: u64,
     vertices: Vec<P>,
     distances: Vec<[u8; 3]>,
@@ -52,7 +52,7 @@ pub(super) struct ChunkWriter<P> {
 impl<P: Point> ChunkWriter<P> {
     pub(super) fn new() -> ChunkWriter<P> {
         ChunkWriter {
-            table: vec![0; TABLE_SLOTS],
+            table: Box::new([0; TABLE_SLOTS]),
             stamp: 0,
             vertices: Vec::with_capacity(3 * CHUNK_TRIANGLES_MAX),
             distances: Vec::with_capacity(CHUNK_TRIANGLES_MAX),
@@ -76,34 +76,42 @@ impl<P: Point> ChunkWriter<P> {
         mut lookup: impl FnMut(u32) -> Result<P, CompileError>,
     ) -> Result<&[u8], CompileError> {
         self.begin();
+        let ChunkWriter { table, stamp, vertices, distances, escapes, id_runs, .. } = self;
+        // The id that goes on with the last run.
         let mut next_id = 0;
+        let mut run = [0; 2];
         for &[a, b, c, id] in triangles {
-            let mut distances = [0; 3];
-            for (distance, vertex) in distances.iter_mut().zip([a, b, c]) {
-                match self.find(vertex) {
+            let corners = [a, b, c];
+            let mut distances_here = [0; 3];
+            for corner in 0..3 {
+                let vertex = corners[corner];
+                match find(table, *stamp, vertex) {
                     Ok(local) => {
-                        let far = self.vertices.len() as u16 - local;
-                        *distance = if far < u16::from(ESCAPE) {
+                        let far = vertices.len() as u16 - local;
+                        distances_here[corner] = if far < u16::from(ESCAPE) {
                             far as u8
                         } else {
-                            self.escapes.push(far);
+                            escapes.push(far);
                             ESCAPE
                         };
                     }
                     Err(slot) => {
-                        let local = self.vertices.len() as u64;
-                        self.vertices.push(lookup(vertex)?);
-                        self.table[slot] = self.stamp << 48 | local << 32 | u64::from(vertex);
+                        table[slot] = *stamp << 48 | (vertices.len() as u64) << 32 | u64::from(vertex);
+                        vertices.push(lookup(vertex)?);
                     }
                 }
             }
-            self.distances.push(distances);
-            match self.id_runs.last_mut() {
-                Some(run) if id == next_id => run[1] += 1,
-                _ => self.id_runs.push([id - next_id, 1]),
+            distances.push(distances_here);
+            if id != next_id {
+                if run[1] > 0 {
+                    id_runs.push(run);
+                }
+                run = [id - next_id, 0];
             }
+            run[1] += 1;
             next_id = id + 1;
         }
+        id_runs.push(run);
         let counts = [
             self.vertices.len(),
             self.distances.len(),
@@ -136,21 +144,23 @@ impl<P: Point> ChunkWriter<P> {
         self.escapes.clear();
         self.id_runs.clear();
     }
+}
 
-    /// The local index of a vertex, or the slot to put it in.
-    #[inline]
-    fn find(&self, vertex: u32) -> Result<u16, usize> {
-        let mut slot = (vertex.wrapping_mul(0x9e37_79b1) >> (32 - TABLE_SLOTS.trailing_zeros())) as usize;
-        loop {
-            let entry = self.table[slot % TABLE_SLOTS];
-            if entry >> 48 != self.stamp {
-                return Err(slot % TABLE_SLOTS);
-            }
-            if entry as u32 == vertex {
-                return Ok((entry >> 32) as u16);
-            }
-            slot += 1;
+/// The local index of a vertex in the chunk of that stamp, or the slot to put it in.
+#[inline(always)]
+fn find(table: &[u64; TABLE_SLOTS], stamp: u64, vertex: u32) -> Result<u16, usize> {
+    // Eight neighbours share a cache line. A step goes to the next line and the next place in it, so that it meets every slot.
+    let line = (vertex >> 3).wrapping_mul(0x9e37_79b1) >> (32 - (TABLE_SLOTS / 8).trailing_zeros());
+    let mut slot = (line << 3 | vertex & 7) as usize;
+    loop {
+        let entry = table[slot % TABLE_SLOTS];
+        if entry >> 48 != stamp {
+            return Err(slot % TABLE_SLOTS);
         }
+        if entry as u32 == vertex {
+            return Ok((entry >> 32) as u16);
+        }
+        slot += 9;
     }
 }
 
@@ -216,24 +226,23 @@ impl<P: Point> Chunk<P> {
     fn resolve(&mut self, distances: &[u8]) -> bool {
         let (distances, _) = distances.as_chunks::<3>();
         let mut escapes = self.escapes.iter();
-        let mut next = 0_u16;
-        let mut lowest = 0_i32;
-        self.triangles.clear();
-        self.triangles.reserve(distances.len());
-        for triangle in distances {
-            let mut corners = [0; 3];
-            for (corner, &distance) in corners.iter_mut().zip(triangle) {
-                let far = match distance {
-                    ESCAPE => escapes.next().copied().unwrap_or(u16::MAX),
-                    distance => u16::from(distance),
-                };
-                lowest = lowest.min(i32::from(next) - i32::from(far));
-                *corner = next.wrapping_sub(far);
-                next += u16::from(far == 0);
+        let mut next = 0_u32;
+        // Has its top bit set if an index is below zero: no other comes near that.
+        let mut all = 0;
+        self.triangles.resize(distances.len(), [0; 3]);
+        for (corners, distances) in self.triangles.iter_mut().zip(distances) {
+            for corner in 0..3 {
+                let mut far = u32::from(distances[corner]);
+                if far == u32::from(ESCAPE) {
+                    far = u32::from(escapes.next().copied().unwrap_or(u16::MAX));
+                }
+                let index = next.wrapping_sub(far);
+                all |= index;
+                next += u32::from(far == 0);
+                corners[corner] = index as u16;
             }
-            self.triangles.push(corners);
         }
-        lowest >= 0 && usize::from(next) == self.vertices.len()
+        all >> 31 == 0 && next as usize == self.vertices.len()
     }
 }
 

@@ -697,9 +697,13 @@ impl MeshSink for Compiler<'_> {
 
     fn triangles(&mut self, triangles: &[[u32; 3]], material: MaterialId) -> Result<(), CompileError> {
         let count = self.vertices_read().len();
-        let highest = triangles.iter().fold(0, |highest, [a, b, c]| highest.max(*a).max(*b).max(*c));
-        if !triangles.is_empty() && highest as usize >= count {
-            return Err(unknown_vertex(u64::from(highest)));
+        // No vertex is above the bits of all together, which are quicker to have than the highest.
+        let bits = triangles.as_flattened().iter().fold(0, |bits, vertex| bits | *vertex);
+        if bits as usize >= count {
+            let highest = triangles.as_flattened().iter().fold(0, |highest, vertex| *vertex.max(&highest));
+            if !triangles.is_empty() && highest as usize >= count {
+                return Err(unknown_vertex(u64::from(highest)));
+            }
         }
         if material.0 != self.queue_material {
             self.drain_queue()?;

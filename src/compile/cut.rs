@@ -8,6 +8,7 @@
 use super::point::Real;
 use crate::geom::Aabb;
 use crate::model::SUB_BOX_COUNT;
+use crate::simd::Quad;
 
 /// Cells of the grid of one cut: about 12^3, spread over the axes so that cells are near cubes.
 const CELLS_MAX: usize = 1728;
@@ -15,41 +16,44 @@ const CELLS_MAX: usize = 1728;
 const SIDE_MAX: usize = 64;
 const NO_CELL: u32 = u32::MAX;
 
-/// A box, padded to four lanes so that the compiler can use one vector register per side.
+/// A box, padded to four lanes: one vector per side.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Box4<R> {
-    pub(super) min: [R; 4],
-    pub(super) max: [R; 4],
+pub(super) struct Box4<R: Real> {
+    min: R::Quad,
+    max: R::Quad,
 }
 
 impl<R: Real> Box4<R> {
-    pub(super) const EMPTY: Box4<R> = Box4 { min: [R::INFINITY; 4], max: [R::NEG_INFINITY; 4] };
-
-    /// The box of a triangle.
     #[inline]
-    pub(super) fn of(a: [R; 3], b: [R; 3], c: [R; 3]) -> Box4<R> {
-        let (mut min, mut max) = ([a[0]; 4], [a[0]; 4]);
-        // A loop and not `map`, which is not always inlined; here and in other hot places.
-        for axis in 0..3 {
-            min[axis] = a[axis].least(b[axis]).least(c[axis]);
-            max[axis] = a[axis].most(b[axis]).most(c[axis]);
-        }
-        Box4 { min, max }
+    pub(super) fn empty() -> Box4<R> {
+        Box4 { min: Quad::of([R::INFINITY; 4]), max: Quad::of([R::NEG_INFINITY; 4]) }
     }
 
-    #[inline]
+    /// The box of a triangle.
+    #[inline(always)]
+    pub(super) fn of(a: R::Quad, b: R::Quad, c: R::Quad) -> Box4<R> {
+        Box4 { min: a.least(b).least(c), max: a.most(b).most(c) }
+    }
+
+    #[inline(always)]
     pub(super) fn merge(&mut self, other: &Box4<R>) {
-        for i in 0..4 {
-            self.min[i] = self.min[i].least(other.min[i]);
-            self.max[i] = self.max[i].most(other.max[i]);
-        }
+        self.min = self.min.least(other.min);
+        self.max = self.max.most(other.max);
+    }
+
+    /// Grows the box to hold a point.
+    #[inline(always)]
+    pub(super) fn grow(&mut self, point: R::Quad) {
+        self.min = self.min.least(point);
+        self.max = self.max.most(point);
     }
 
     /// Half of the surface; 0 for the empty box.
     #[inline]
     fn half_area(&self) -> f64 {
+        let (min, max) = (self.min.to_array(), self.max.to_array());
         let extent = |axis: usize| {
-            let extent = self.max[axis].to_f64() - self.min[axis].to_f64();
+            let extent = max[axis].to_f64() - min[axis].to_f64();
             if extent > 0.0 { extent } else { 0.0 }
         };
         let (x, y, z) = (extent(0), extent(1), extent(2));
@@ -57,13 +61,14 @@ impl<R: Real> Box4<R> {
     }
 
     pub(super) fn to_aabb(self) -> Aabb {
-        Aabb { min: [0, 1, 2].map(|i| self.min[i].to_f64()), max: [0, 1, 2].map(|i| self.max[i].to_f64()) }
+        let (min, max) = (self.min.to_array(), self.max.to_array());
+        Aabb { min: [0, 1, 2].map(|i| min[i].to_f64()), max: [0, 1, 2].map(|i| max[i].to_f64()) }
     }
 
-    /// The middle of the box along an axis; cannot overflow.
-    #[inline]
-    fn middle(&self, axis: usize) -> R {
-        self.min[axis].middle(self.max[axis])
+    /// The middles of the box along the axes; cannot overflow.
+    #[inline(always)]
+    fn middles(&self) -> R::Quad {
+        self.min.middle(self.max)
     }
 }
 
@@ -78,7 +83,7 @@ pub(super) struct Piece {
 
 /// Cuts; keeps its memory from one bucket to the next.
 #[derive(Debug)]
-pub(super) struct Cutter<R> {
+pub(super) struct Cutter<R: Real> {
     /// Box of each triangle.
     pub(super) boxes: Vec<Box4<R>>,
     /// Triangle numbers, grouped into pieces by [`Cutter::cut`].
@@ -95,7 +100,7 @@ pub(super) struct Cutter<R> {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Cell<R> {
+struct Cell<R: Real> {
     bounds: Box4<R>,
     count: u32,
     at: [u8; 3],
@@ -156,48 +161,54 @@ impl<R: Real> Cutter<R> {
     /// Bins the triangles of a task; false if their middles all coincide.
     fn bin(&mut self, task: &Task) -> bool {
         let order = &self.order[task.start..task.start + task.len];
-        let mut middles = Box4::<R>::EMPTY;
+        let mut middles = Box4::<R>::empty();
         for &triangle in order {
-            let bounds = &self.boxes[triangle as usize];
-            for axis in 0..3 {
-                let middle = bounds.middle(axis);
-                middles.min[axis] = middles.min[axis].least(middle);
-                middles.max[axis] = middles.max[axis].most(middle);
-            }
+            middles.grow(self.boxes[triangle as usize].middles());
         }
-        let extent = |axis: usize| middles.max[axis].to_f64() - middles.min[axis].to_f64();
+        let ends = middles.to_aabb();
+        let extent = |axis: usize| ends.max[axis] - ends.min[axis];
         let extent = [extent(0), extent(1), extent(2)];
         if extent.iter().all(|extent| *extent <= 0.0) {
             return false;
         }
         let sides = sides(extent, task.len);
-        let mut scale = [R::from_f64(0.0); 3];
+        let mut scale = [R::from_f64(0.0); 4];
         for axis in 0..3 {
             let cells = sides[axis] as f64 / extent[axis];
             scale[axis] = R::from_f64(if cells.is_finite() { cells } else { 0.0 });
         }
-        let empty = Cell { bounds: Box4::EMPTY, count: 0, at: [0; 3] };
+        let empty = Cell { bounds: Box4::empty(), count: 0, at: [0; 3] };
         self.cells.clear();
         self.cells.resize(sides[0] * sides[1] * sides[2], empty);
-        self.cell_of.clear();
-        self.cell_of.reserve(order.len());
-        let min = middles.min;
-        for &triangle in order {
-            let bounds = &self.boxes[triangle as usize];
-            let mut at = [0; 3];
-            for axis in 0..3 {
-                let cell = bounds.middle(axis).cell(min[axis], scale[axis]) as usize;
-                at[axis] = if cell < sides[axis] { cell } else { sides[axis] - 1 };
-            }
-            let index = at[0] + sides[0] * (at[1] + sides[1] * at[2]);
-            let cell = &mut self.cells[index];
+        self.cell_of.resize(order.len(), 0);
+        let last = [sides[0] as u8 - 1, sides[1] as u8 - 1, sides[2] as u8 - 1];
+        let [x, y, z] = last.map(|last| R::from_f64(last.into()));
+        let (min, scale, lasts) = (middles.min, Quad::of(scale), Quad::of([x, y, z, R::from_f64(0.0)]));
+        // There are at most some thousand cells.
+        let weights = [1, sides[0] as i16, (sides[0] * sides[1]) as i16, 0];
+        let (boxes, cells) = (&self.boxes[..], &mut self.cells[..]);
+        for (cell_of, &triangle) in self.cell_of.iter_mut().zip(order) {
+            let bounds = &boxes[triangle as usize];
+            let index = bounds.middles().cell(min, scale, lasts, weights);
+            let cell = &mut cells[index as usize];
             cell.bounds.merge(bounds);
             cell.count += 1;
-            cell.at = [at[0] as u8, at[1] as u8, at[2] as u8];
-            self.cell_of.push(index as u32);
+            *cell_of = index;
         }
         self.full.clear();
-        self.full.extend((0..self.cells.len() as u32).filter(|cell| self.cells[*cell as usize].count > 0));
+        let mut index = 0;
+        for z in 0..=last[2] {
+            for y in 0..=last[1] {
+                for x in 0..=last[0] {
+                    let cell = &mut self.cells[index as usize];
+                    if cell.count > 0 {
+                        cell.at = [x, y, z];
+                        self.full.push(index);
+                    }
+                    index += 1;
+                }
+            }
+        }
         // Extents so small that all cells became one: nothing was gained, and nothing would be again.
         self.full.len() > 1
     }
@@ -258,15 +269,16 @@ impl<R: Real> Cutter<R> {
             self.starts.push(start);
             start += group.count;
         }
-        self.sorted.clear();
-        self.sorted.resize(task.len, 0);
+        if self.sorted.len() < task.len {
+            self.sorted.resize(task.len, 0);
+        }
         let order = &mut self.order[task.start..task.start + task.len];
         for (triangle, cell) in order.iter().zip(&self.cell_of) {
             let next = &mut self.starts[self.group_of_cell[*cell as usize] as usize];
             self.sorted[*next as usize] = *triangle;
             *next += 1;
         }
-        order.copy_from_slice(&self.sorted);
+        order.copy_from_slice(&self.sorted[..task.len]);
     }
 
     /// Turns groups into pieces, or into tasks where one cell holds too much.
@@ -288,7 +300,7 @@ impl<R: Real> Cutter<R> {
     /// Goes on halving a group, always the part with the largest area, until there are enough parts.
     fn sub_boxes(&mut self, group: Group) -> [Aabb; SUB_BOX_COUNT] {
         let bounds = |cutter: &Cutter<R>, group: Group| {
-            let mut bounds = Box4::EMPTY;
+            let mut bounds = Box4::empty();
             for cell in &cutter.full[group.start as usize..group.end as usize] {
                 bounds.merge(&cutter.cells[*cell as usize].bounds);
             }
@@ -336,7 +348,7 @@ impl<R: Real> Cutter<R> {
         let end = start + len;
         while start < end {
             let len = len_max.min(end - start);
-            let mut bounds = Box4::EMPTY;
+            let mut bounds = Box4::empty();
             for triangle in &self.order[start..start + len] {
                 bounds.merge(&self.boxes[*triangle as usize]);
             }
@@ -378,7 +390,7 @@ fn best_split<R: Real>(cells: &[Cell<R>], group: &[u32], weight: impl Fn(u32) ->
             high[axis] = high[axis].max(at[axis]);
         }
     }
-    let mut slabs = [[(Box4::<R>::EMPTY, 0_u32); SIDE_MAX]; 3];
+    let mut slabs = [[(Box4::<R>::empty(), 0_u32); SIDE_MAX]; 3];
     for cell in group {
         let cell = &cells[*cell as usize];
         for axis in 0..3 {
@@ -392,13 +404,13 @@ fn best_split<R: Real>(cells: &[Cell<R>], group: &[u32], weight: impl Fn(u32) ->
         let count = usize::from(high[axis] - low[axis]) + 1;
         let slabs = &slabs[axis][..count];
         let mut right_cost = [0.0; SIDE_MAX];
-        let (mut bounds, mut triangles) = (Box4::EMPTY, 0);
+        let (mut bounds, mut triangles) = (Box4::empty(), 0);
         for index in (1..count).rev() {
             bounds.merge(&slabs[index].0);
             triangles += slabs[index].1;
             right_cost[index] = bounds.half_area() * weight(triangles);
         }
-        let (mut bounds, mut triangles) = (Box4::EMPTY, 0);
+        let (mut bounds, mut triangles) = (Box4::empty(), 0);
         for index in 1..count {
             bounds.merge(&slabs[index - 1].0);
             triangles += slabs[index - 1].1;

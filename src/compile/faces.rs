@@ -59,8 +59,11 @@ impl Faces {
         if self.open.is_empty() {
             return Ok(());
         }
-        let (min, max) =
-            self.open.iter().flatten().fold((u32::MAX, 0), |(min, max), &v| (min.min(v), max.max(v)));
+        let (mut min, mut max) = (u32::MAX, 0);
+        for &[a, b, c] in &self.open {
+            min = min.min(a).min(b).min(c);
+            max = max.max(a).max(b).max(c);
+        }
         let narrow = max - min <= u32::from(u16::MAX);
         self.bytes.clear();
         self.bytes.extend_from_slice(&((self.open.len() - 1) as u16).to_ne_bytes());
@@ -70,9 +73,8 @@ impl Faces {
         if narrow {
             let at = self.bytes.len();
             self.bytes.resize(at + 6 * self.open.len(), 0);
-            for (into, triangle) in self.bytes[at..].chunks_exact_mut(6).zip(&self.open) {
-                let offsets = triangle.map(|vertex| (vertex - min) as u16);
-                into.copy_from_slice(bytemuck::bytes_of(&offsets));
+            for (into, &[a, b, c]) in self.bytes[at..].as_chunks_mut::<6>().0.iter_mut().zip(&self.open) {
+                *into = bytemuck::cast([(a - min) as u16, (b - min) as u16, (c - min) as u16]);
             }
         } else {
             self.bytes.extend_from_slice(bytemuck::cast_slice(&self.open));
@@ -111,8 +113,9 @@ impl Faces {
             let indices = &window[start + HEADER_BYTES..start + HEADER_BYTES + bytes];
             triangles.clear();
             if word(8) == 2 {
-                triangles.extend(indices.chunks_exact(6).map(|offsets| {
-                    [0, 2, 4].map(|at| base + u32::from(u16::from_ne_bytes([offsets[at], offsets[at + 1]])))
+                triangles.extend(indices.as_chunks::<6>().0.iter().map(|offsets| {
+                    let [a, b, c]: [u16; 3] = bytemuck::cast(*offsets);
+                    [base + u32::from(a), base + u32::from(b), base + u32::from(c)]
                 }));
             } else {
                 triangles.resize(count, [0; 3]);

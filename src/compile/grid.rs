@@ -1,5 +1,7 @@
 //! Where the vertices are: an adaptive grid of counts, and the octree cells of it that become buckets.
 
+use crate::simd::{AnyOperation, Simd, SimdLevel, dispatch, whole_f64};
+
 /// Cells per side; a power of two.
 const SIDE: usize = 128;
 const LEVELS: u32 = SIDE.trailing_zeros();
@@ -39,19 +41,42 @@ impl Grid {
     /// Counts vertices; those that are not finite are left out.
     pub(super) fn count(&mut self, vertices: impl Iterator<Item = [f64; 3]> + Clone) {
         let (mut min, mut max) = (self.min, self.max);
-        for vertex in vertices.clone().filter(is_finite) {
+        let mut all_finite = true;
+        for vertex in vertices.clone() {
+            let [x, y, z] = vertex;
+            // One that is not finite makes the sum of the magnitudes infinite or NaN; one too large for the sum is looked at below.
+            all_finite &= x.abs() + y.abs() + z.abs() < f64::INFINITY;
             for axis in 0..3 {
-                min[axis] = min[axis].min(vertex[axis]);
-                max[axis] = max[axis].max(vertex[axis]);
+                // In this form one instruction; what NaN does to it is undone below.
+                min[axis] = if vertex[axis] < min[axis] { vertex[axis] } else { min[axis] };
+                max[axis] = if vertex[axis] > max[axis] { vertex[axis] } else { max[axis] };
             }
         }
+        if all_finite {
+            self.count_finite((min, max), vertices);
+        } else {
+            let finite = vertices.filter(is_finite);
+            (min, max) = (self.min, self.max);
+            for vertex in finite.clone() {
+                for axis in 0..3 {
+                    min[axis] = min[axis].min(vertex[axis]);
+                    max[axis] = max[axis].max(vertex[axis]);
+                }
+            }
+            self.count_finite((min, max), finite);
+        }
+    }
+
+    /// Counts vertices, all finite and within the bounds, which hold those before, too.
+    #[inline]
+    fn count_finite(&mut self, (min, max): ([f64; 3], [f64; 3]), vertices: impl Iterator<Item = [f64; 3]>) {
         if (min, max) != (self.min, self.max) {
             self.cover(min, max);
         }
-        let scale = self.scale();
-        for vertex in vertices.filter(is_finite) {
-            let cell = self.cell(scale, vertex);
-            self.counts[cell] = self.counts[cell].saturating_add(1);
+        let (scale, origin) = (self.scale(), self.origin);
+        for [x, y, z] in vertices {
+            let cell = &mut self.counts[cell_of(scale, origin, [x, y, z]) as usize];
+            *cell = cell.saturating_add(1);
         }
     }
 
@@ -64,12 +89,6 @@ impl Grid {
     /// Cells per unit of length.
     fn scale(&self) -> f64 {
         power_of_two(-self.exponent)
-    }
-
-    fn cell(&self, scale: f64, point: [f64; 3]) -> usize {
-        let at = |axis: usize| cell_coordinate(point[axis] * scale - self.origin[axis]);
-        let (x, y, z) = (at(0), at(1), at(2));
-        x + SIDE * (y + SIDE * z)
     }
 
     /// Changes cell size and origin so that the bounds lie inside, and moves the counts along.
@@ -174,12 +193,22 @@ impl BucketMap {
         self.count
     }
 
-    /// The bucket of the point `sum * third_of_unit`, where `scale` is `third_of_unit` times [`BucketMap::scale`].
+    /// The buckets of the first `count` points `sum * third_of_unit` (those behind are of no account), where `scale` is `third_of_unit`
+    /// times [`BucketMap::scale`]. Whether all of them are valid; those that are not get any bucket.
     #[inline]
-    pub(super) fn bucket(&self, sum: [f64; 3], scale: f64) -> usize {
-        let at = |axis: usize| cell_coordinate(sum[axis] * scale - self.origin[axis]);
-        let (x, y, z) = (at(0), at(1), at(2));
-        usize::from(self.of_cell[x + SIDE * (y + SIDE * z)])
+    pub(super) fn buckets<const N: usize>(
+        &self,
+        sums: &[[f64; N]; 3],
+        scale: f64,
+        buckets: &mut [u16; N],
+        count: usize,
+    ) -> bool {
+        let (cells, are_valid) =
+            dispatch(SimdLevel::best(), Cells { sums, scale, origin: self.origin, count });
+        for (bucket, cell) in buckets.iter_mut().zip(cells).take(count) {
+            *bucket = self.of_cell[cell as usize];
+        }
+        are_valid
     }
 
     /// Cells per unit of length.
@@ -227,15 +256,55 @@ impl BucketMap {
     }
 }
 
+/// The cells of many points, with the widest vectors there are.
+struct Cells<'a, const N: usize> {
+    sums: &'a [[f64; N]; 3],
+    scale: f64,
+    origin: [f64; 3],
+    /// Points behind these are of no account.
+    count: usize,
+}
+
+impl<const N: usize> AnyOperation for Cells<'_, N> {
+    type Output = ([u32; N], bool);
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _simd: S) -> ([u32; N], bool) {
+        let [x, y, z] = self.sums;
+        let mut cells = [0; N];
+        let mut are_valid = true;
+        for at in 0..N {
+            let sum = [x[at], y[at], z[at]];
+            cells[at] = cell_of(self.scale, self.origin, sum);
+            are_valid &= is_valid(sum) | (at >= self.count);
+        }
+        (cells, are_valid)
+    }
+}
+
+/// Whether [`Point::sum`](super::point::Point::sum) is of valid vertices.
+#[inline(always)]
+pub(super) fn is_valid([x, y, z]: [f64; 3]) -> bool {
+    (x + y + z).is_finite()
+}
+
 fn is_finite(point: &[f64; 3]) -> bool {
     point.iter().all(|x| x.is_finite())
 }
 
+/// The cell of a point, if a length of 1 has `scale` cells.
+#[inline(always)]
+fn cell_of(scale: f64, origin: [f64; 3], point: [f64; 3]) -> u32 {
+    let at = |axis: usize| cell_coordinate(point[axis] * scale - origin[axis]) as u32;
+    let (x, y, z) = (at(0), at(1), at(2));
+    // The axes take up bits of their own.
+    x | y << LEVELS | z << (2 * LEVELS)
+}
+
 /// Which cell along an axis: the nearest inside for points outside, 0 for NaN.
-#[inline]
+#[inline(always)]
 fn cell_coordinate(x: f64) -> usize {
-    // A float-to-integer cast truncates and saturates.
-    (x as u32 as usize).min(SIDE - 1)
+    whole_f64(x, (SIDE - 1) as u8) as usize
 }
 
 /// `2^exponent`, 0 or infinity beyond the range of f64.

@@ -5,7 +5,7 @@
 
 use bytemuck::Pod;
 
-use super::pages::Pages;
+use super::pages::{Pages, ResidentPages};
 use super::point::{OUTSIDE, Point};
 use super::vertices::VertexStore;
 use crate::error::CompileError;
@@ -27,6 +27,12 @@ pub(super) trait Lookup {
 
     /// The vertex, or a point that is not valid if the vertex is not finite or out of range.
     fn get(&mut self, vertex: u32) -> Result<Self::Point, CompileError>;
+
+    /// [`Lookup::get`] for the corners of a triangle.
+    #[inline(always)]
+    fn get_three(&mut self, [a, b, c]: [u32; 3]) -> Result<[Self::Point; 3], CompileError> {
+        Ok([self.get(a)?, self.get(b)?, self.get(c)?])
+    }
 
     /// What is wrong with a triangle that has a point that is not valid.
     fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError>;
@@ -178,18 +184,24 @@ impl<T: Vertex, F: Form> Lookup for Fetching<'_, T, F> {
 }
 
 /// Pages that are all in memory.
-struct Resident<'a, T, F>(&'a Pages<T>, &'a F);
+struct Resident<'a, T, F>(ResidentPages<'a, T>, &'a F);
 
 impl<T: Vertex, F: Form> Lookup for Resident<'_, T, F> {
     type Point = F::Point;
 
     #[inline]
     fn get(&mut self, vertex: u32) -> Result<F::Point, CompileError> {
-        Ok(self.1.form(self.0.get_resident(vertex)))
+        Ok(self.1.form(self.0.get(vertex)))
+    }
+
+    #[inline(always)]
+    fn get_three(&mut self, triangle: [u32; 3]) -> Result<[F::Point; 3], CompileError> {
+        let [a, b, c] = self.0.get_three(triangle);
+        Ok([self.1.form(a), self.1.form(b), self.1.form(c)])
     }
 
     fn fault(&mut self, triangle: [u32; 3]) -> Result<Fault, CompileError> {
-        let is_finite = triangle.iter().all(|vertex| self.0.get_resident(*vertex).is_finite());
+        let is_finite = triangle.iter().all(|vertex| self.0.get(*vertex).is_finite());
         Ok(if is_finite { Fault::OutOfRange } else { Fault::NotFinite })
     }
 }
@@ -197,6 +209,9 @@ impl<T: Vertex, F: Form> Lookup for Resident<'_, T, F> {
 impl VertexStore {
     /// Does `work` with a lookup in this store.
     pub(super) fn serve<F: Form, W: Work<F::Point>>(&mut self, form: &F, work: W) -> W::Output {
+        if self.is_resident() {
+            return self.serve_resident(form, work);
+        }
         match self {
             VertexStore::Float32 { pages, .. } => work.run(&mut Fetching(pages, form)),
             VertexStore::Rounded { exact: Some(exact), .. } if F::FROM_EXACT => {
@@ -210,12 +225,12 @@ impl VertexStore {
     /// The same for a store that is resident, which several threads may read at once.
     pub(super) fn serve_resident<F: Form, W: Work<F::Point>>(&self, form: &F, work: W) -> W::Output {
         match self {
-            VertexStore::Float32 { pages, .. } => work.run(&mut Resident(pages, form)),
+            VertexStore::Float32 { pages, .. } => work.run(&mut Resident(pages.resident(), form)),
             VertexStore::Rounded { exact: Some(exact), .. } if F::FROM_EXACT => {
-                work.run(&mut Resident(exact, form))
+                work.run(&mut Resident(exact.resident(), form))
             }
-            VertexStore::Rounded { rounded, .. } => work.run(&mut Resident(rounded, form)),
-            VertexStore::Exact(pages) => work.run(&mut Resident(pages, form)),
+            VertexStore::Rounded { rounded, .. } => work.run(&mut Resident(rounded.resident(), form)),
+            VertexStore::Exact(pages) => work.run(&mut Resident(pages.resident(), form)),
         }
     }
 }

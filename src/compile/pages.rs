@@ -11,6 +11,10 @@ use crate::units::Bytes;
 /// and large enough that a fetch is not all overhead.
 const PAGE_SHIFT: u32 = 12;
 const PAGE_ITEMS: usize = 1 << PAGE_SHIFT;
+/// Frames in one piece of memory: so many that corners of a triangle are nearly always in one.
+const AREA_FRAMES: usize = 32;
+const AREA_ITEMS: usize = AREA_FRAMES * PAGE_ITEMS;
+const AREA_SHIFT: u32 = AREA_ITEMS.trailing_zeros();
 /// Fewest frames that work at all: the pages that a triangle touches, with some to spare.
 const FRAMES_MIN: usize = 16;
 const ABSENT: u32 = u32::MAX;
@@ -22,7 +26,9 @@ pub(super) struct Pages<T> {
     place: SpillPlace,
     /// Page to frame, or `ABSENT`.
     frame_of: Vec<u32>,
-    frames: Vec<Vec<T>>,
+    frame_count: usize,
+    /// Memory of [`AREA_FRAMES`] frames each, which the system gives when it is touched.
+    areas: Vec<Vec<T>>,
     /// Frame to page.
     page_in: Vec<u32>,
     reservations: Vec<Reservation>,
@@ -42,7 +48,8 @@ impl<T: Pod> Pages<T> {
         Pages {
             place,
             frame_of: Vec::new(),
-            frames: Vec::new(),
+            frame_count: 0,
+            areas: Vec::new(),
             page_in: Vec::new(),
             reservations: Vec::new(),
             hand: 0,
@@ -69,16 +76,25 @@ impl<T: Pod> Pages<T> {
 
     /// Gives back all but the least memory. Only once there is a spill; the page that is being filled stays.
     pub(super) fn shrink(&mut self) {
-        if self.spill.is_none() || self.frames.len() <= FRAMES_MIN {
+        if self.spill.is_none() || self.frame_count <= FRAMES_MIN {
             return;
         }
         let full_pages = self.len >> PAGE_SHIFT;
         // The page that is in no other place comes first and stays.
-        if let Some(last) = self.page_in.iter().position(|page| *page as usize >= full_pages) {
-            self.frames.swap(0, last);
-            self.page_in.swap(0, last);
+        let last = self.page_in.iter().position(|page| *page as usize >= full_pages).unwrap_or(0);
+        // Copied, so that all of the old memory is given back.
+        let mut kept = vec![T::zeroed(); AREA_ITEMS];
+        for frame in 0..FRAMES_MIN {
+            let from = match frame {
+                0 => last,
+                frame if frame == last => 0,
+                frame => frame,
+            };
+            kept[frame * PAGE_ITEMS..][..PAGE_ITEMS].copy_from_slice(self.frame(from));
         }
-        self.frames.truncate(FRAMES_MIN);
+        self.page_in.swap(0, last);
+        self.areas = vec![kept];
+        self.frame_count = FRAMES_MIN;
         self.page_in.truncate(FRAMES_MIN);
         self.reservations.truncate(FRAMES_MIN);
         self.hand = 0;
@@ -90,7 +106,16 @@ impl<T: Pod> Pages<T> {
 
     /// What the frames hold of the budget.
     pub(super) fn memory_bytes(&self) -> u64 {
-        (self.frames.len() * PAGE_ITEMS * size_of::<T>()) as u64
+        (self.frame_count * PAGE_ITEMS * size_of::<T>()) as u64
+    }
+
+    /// The items of a frame, whether or not they were appended yet.
+    fn frame(&self, frame: usize) -> &[T] {
+        &self.areas[frame / AREA_FRAMES][frame % AREA_FRAMES * PAGE_ITEMS..][..PAGE_ITEMS]
+    }
+
+    fn frame_mut(&mut self, frame: usize) -> &mut [T] {
+        &mut self.areas[frame / AREA_FRAMES][frame % AREA_FRAMES * PAGE_ITEMS..][..PAGE_ITEMS]
     }
 
     pub(super) fn spill_bytes(&self) -> u64 {
@@ -109,13 +134,19 @@ impl<T: Pod> Pages<T> {
             }
             let frame = self.frame_of[self.len >> PAGE_SHIFT] as usize;
             let count = items.len().min(PAGE_ITEMS - self.len % PAGE_ITEMS);
-            self.frames[frame].extend(items[..count].iter().map(|item| convert(*item)));
+            let start = self.len % PAGE_ITEMS;
+            let into = &mut self.frame_mut(frame)[start..start + count];
+            for (into, item) in into.iter_mut().zip(items) {
+                *into = convert(*item);
+            }
             self.len += count;
             items = &items[count..];
             if self.len.is_multiple_of(PAGE_ITEMS)
-                && let Some(spill) = &mut self.spill
+                && let Some(mut spill) = self.spill.take()
             {
-                spill.append(bytemuck::cast_slice(&self.frames[frame]))?;
+                let appended = spill.append(bytemuck::cast_slice(self.frame(frame)));
+                self.spill = Some(spill);
+                appended?;
             }
         }
         Ok(())
@@ -129,41 +160,47 @@ impl<T: Pod> Pages<T> {
         if frame == ABSENT {
             frame = self.fetch(page)?;
         }
-        Ok(self.frames[frame as usize][index as usize % PAGE_ITEMS])
+        Ok(self.frame(frame as usize)[index as usize % PAGE_ITEMS])
     }
 
     /// The item at `index` of an array that is resident.
-    #[inline]
     pub(super) fn get_resident(&self, index: u32) -> T {
-        let frame = self.frame_of[(index >> PAGE_SHIFT) as usize];
-        self.frames[frame as usize][index as usize % PAGE_ITEMS]
+        // No page was evicted yet, so frames are in the order of pages.
+        self.areas[(index >> AREA_SHIFT) as usize][index as usize % AREA_ITEMS]
+    }
+
+    /// An array that is resident, for reading many.
+    pub(super) fn resident(&self) -> ResidentPages<'_, T> {
+        ResidentPages(self.areas.iter().map(Vec::as_slice).collect())
     }
 
     /// Makes a frame for the page after the last, which is full (or there is none).
     fn open_page(&mut self) -> Result<(), CompileError> {
         let page = self.frame_of.len() as u32;
         let bytes = (PAGE_ITEMS * size_of::<T>()) as u64;
-        let headroom = if self.frames.len() < FRAMES_MIN { 0 } else { self.headroom };
+        let headroom = if self.frame_count < FRAMES_MIN { 0 } else { self.headroom };
         let wanted = Bytes(bytes + headroom);
         let frame = if self.spill.is_none()
-            && (self.place.budget.available() >= wanted || self.frames.len() < FRAMES_MIN)
+            && (self.place.budget.available() >= wanted || self.frame_count < FRAMES_MIN)
         {
             self.reservations.push(self.place.budget.reserve(Bytes(bytes), "vertices")?);
-            self.frames.push(Vec::with_capacity(PAGE_ITEMS));
+            if self.frame_count.is_multiple_of(AREA_FRAMES) {
+                self.areas.push(vec![T::zeroed(); AREA_ITEMS]);
+            }
             self.page_in.push(page);
-            self.frames.len() - 1
+            self.frame_count += 1;
+            self.frame_count - 1
         } else {
             if self.spill.is_none() {
                 let mut spill = Spill::new(self.place.clone(), ".vertices", u64::MAX)?;
                 // No page was evicted yet, so frames are in page order and all are full.
-                for frame in &self.frames {
-                    spill.append(bytemuck::cast_slice(frame))?;
+                for frame in 0..self.frame_count {
+                    spill.append(bytemuck::cast_slice(self.frame(frame)))?;
                 }
                 self.spill = Some(spill);
             }
             self.take_frame(page)
         };
-        self.frames[frame].clear();
         self.frame_of.push(frame as u32);
         Ok(())
     }
@@ -173,7 +210,7 @@ impl<T: Pod> Pages<T> {
         let full_pages = self.len >> PAGE_SHIFT;
         loop {
             let frame = self.hand;
-            self.hand = (self.hand + 1) % self.frames.len();
+            self.hand = (self.hand + 1) % self.frame_count;
             let old = self.page_in[frame] as usize;
             // The page that is being filled is nowhere else.
             if old < full_pages {
@@ -188,11 +225,36 @@ impl<T: Pod> Pages<T> {
     fn fetch(&mut self, page: usize) -> Result<u32, CompileError> {
         let frame = self.take_frame(page as u32);
         self.fetches += 1;
-        let items = &mut self.frames[frame];
-        let spill = self.spill.as_ref().expect("a page is absent only once there is a spill");
-        items.resize(PAGE_ITEMS, T::zeroed());
-        spill.read((page * PAGE_ITEMS * size_of::<T>()) as u64, bytemuck::cast_slice_mut(items))?;
+        let spill = self.spill.take().expect("a page is absent only once there is a spill");
+        let offset = (page * PAGE_ITEMS * size_of::<T>()) as u64;
+        let read = spill.read(offset, bytemuck::cast_slice_mut(self.frame_mut(frame)));
+        self.spill = Some(spill);
+        read?;
         self.frame_of[page] = frame as u32;
         Ok(frame as u32)
+    }
+}
+
+/// The items of [`Pages`] that are all in memory.
+pub(super) struct ResidentPages<'a, T>(Vec<&'a [T]>);
+
+impl<T: Pod> ResidentPages<'_, T> {
+    /// The item at `index`.
+    #[inline(always)]
+    pub(super) fn get(&self, index: u32) -> T {
+        self.0[(index >> AREA_SHIFT) as usize][index as usize % AREA_ITEMS]
+    }
+
+    /// The items at three indices.
+    #[inline(always)]
+    pub(super) fn get_three(&self, indices: [u32; 3]) -> [T; 3] {
+        let [a, b, c] = indices;
+        if ((a ^ b) | (a ^ c)) >> AREA_SHIFT == 0 {
+            // As in nearly all triangles.
+            let items = self.0[(a >> AREA_SHIFT) as usize];
+            let at = |index: u32| items[index as usize % AREA_ITEMS];
+            return [at(a), at(b), at(c)];
+        }
+        [self.get(a), self.get(b), self.get(c)]
     }
 }

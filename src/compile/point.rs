@@ -4,6 +4,7 @@ use bytemuck::Pod;
 
 use crate::block::{self, VertexInput};
 use crate::geom::Precision;
+use crate::simd::{Quad, Quad32, Quad64};
 
 /// A lattice coordinate that stands for "not finite or out of range".
 pub(super) const OUTSIDE: i64 = i64::MIN;
@@ -16,8 +17,15 @@ pub(super) trait Point: Pod + PartialEq + Send + Sync {
     /// The coordinates, exactly.
     fn real(self) -> [Self::Real; 3];
 
-    /// The sum of three vertices in the units of `real`, or `None` if one is not valid.
-    fn sum(a: Self, b: Self, c: Self) -> Option<[f64; 3]>;
+    /// Vertex `index` of `vertices`, and any number in the fourth lane.
+    #[inline(always)]
+    fn quad(vertices: &[Self], index: usize) -> <Self::Real as Real>::Quad {
+        let [x, y, z] = vertices[index].real();
+        Quad::of([x, y, z, x])
+    }
+
+    /// The sum of three vertices in the units of `real`. The sum of its parts is finite if and only if all three are valid.
+    fn sum(a: Self, b: Self, c: Self) -> [f64; 3];
 
     /// Whether a file can hold it.
     fn is_valid(self) -> bool;
@@ -46,12 +54,24 @@ impl Point for [f32; 3] {
         self
     }
 
-    #[inline]
-    fn sum(a: Self, b: Self, c: Self) -> Option<[f64; 3]> {
+    #[inline(always)]
+    fn quad(vertices: &[Self], index: usize) -> Quad32 {
+        // One load, but for the last vertex.
+        let pair = vertices.get(index..).and_then(|rest| rest.first_chunk::<2>());
+        match pair.and_then(|pair| pair.as_flattened().first_chunk::<4>()) {
+            Some(lanes) => Quad32::of(*lanes),
+            None => {
+                let [x, y, z] = vertices[index];
+                Quad32::of([x, y, z, x])
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn sum(a: Self, b: Self, c: Self) -> [f64; 3] {
         // Sums of three f32 cannot overflow f64, so the total is finite if and only if every term is.
         let axis = |axis: usize| f64::from(a[axis]) + f64::from(b[axis]) + f64::from(c[axis]);
-        let sum = [axis(0), axis(1), axis(2)];
-        (sum[0] + sum[1] + sum[2]).is_finite().then_some(sum)
+        [axis(0), axis(1), axis(2)]
     }
 
     fn is_valid(self) -> bool {
@@ -90,13 +110,17 @@ impl Point for [i64; 3] {
         [self[0] as f64, self[1] as f64, self[2] as f64]
     }
 
-    #[inline]
-    fn sum(a: Self, b: Self, c: Self) -> Option<[f64; 3]> {
-        if [a, b, c].iter().flatten().any(|x| *x == OUTSIDE) {
-            return None;
+    #[inline(always)]
+    fn sum(a: Self, b: Self, c: Self) -> [f64; 3] {
+        let mut is_valid = true;
+        for axis in 0..3 {
+            is_valid &= a[axis] != OUTSIDE && b[axis] != OUTSIDE && c[axis] != OUTSIDE;
+        }
+        if !is_valid {
+            return [f64::NAN; 3];
         }
         let axis = |axis: usize| a[axis] as f64 + b[axis] as f64 + c[axis] as f64;
-        Some([axis(0), axis(1), axis(2)])
+        [axis(0), axis(1), axis(2)]
     }
 
     fn is_valid(self) -> bool {
@@ -130,30 +154,17 @@ impl Point for [i64; 3] {
 
 /// The float type of a cut.
 pub(super) trait Real: Copy + PartialOrd + Send + Sync + std::fmt::Debug {
+    /// Four of them.
+    type Quad: Quad<Real = Self>;
     const INFINITY: Self;
     const NEG_INFINITY: Self;
     fn to_f64(self) -> f64;
     /// The nearest.
     fn from_f64(x: f64) -> Self;
-    /// The mean, rounded; cannot overflow.
-    fn middle(self, other: Self) -> Self;
-    /// The whole part of `(self - min) * scale`, which is not negative (0 for NaN).
-    fn cell(self, min: Self, scale: Self) -> u32;
-
-    /// The lesser; neither is NaN.
-    #[inline]
-    fn least(self, other: Self) -> Self {
-        if other < self { other } else { self }
-    }
-
-    /// The greater; neither is NaN.
-    #[inline]
-    fn most(self, other: Self) -> Self {
-        if other > self { other } else { self }
-    }
 }
 
 impl Real for f32 {
+    type Quad = Quad32;
     const INFINITY: f32 = f32::INFINITY;
     const NEG_INFINITY: f32 = f32::NEG_INFINITY;
 
@@ -163,38 +174,19 @@ impl Real for f32 {
     }
 
     #[inline]
-    fn middle(self, other: f32) -> f32 {
-        0.5 * self + 0.5 * other
-    }
-
-    #[inline]
-    fn cell(self, min: f32, scale: f32) -> u32 {
-        ((self - min) * scale) as u32
-    }
-
-    #[inline]
     fn to_f64(self) -> f64 {
         f64::from(self)
     }
 }
 
 impl Real for f64 {
+    type Quad = Quad64;
     const INFINITY: f64 = f64::INFINITY;
     const NEG_INFINITY: f64 = f64::NEG_INFINITY;
 
     #[inline]
     fn from_f64(x: f64) -> f64 {
         x
-    }
-
-    #[inline]
-    fn middle(self, other: f64) -> f64 {
-        0.5 * self + 0.5 * other
-    }
-
-    #[inline]
-    fn cell(self, min: f64, scale: f64) -> u32 {
-        ((self - min) * scale) as u32
     }
 
     #[inline]

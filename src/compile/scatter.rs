@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::chunk::{Buffered, CHUNK_TRIANGLES_MAX, ChunkRecord, ChunkWriter};
-use super::grid::BucketMap;
+use super::grid::{BucketMap, is_valid};
 use super::lookup::{Fault, Lookup, Work};
 use super::point::Point;
 use super::records::ChunkRecords;
@@ -16,6 +16,9 @@ use crate::units::Bytes;
 
 /// Fewest triangles in a bucket's buffer that still make useful chunks.
 const BUFFER_TRIANGLES_MIN: usize = 32;
+
+/// Triangles whose cells are found at once.
+const BATCH: usize = 64;
 
 /// The triangles of every bucket, in chunks.
 #[derive(Debug)]
@@ -128,41 +131,89 @@ impl<P: Point> Scatter<P> {
         first_id: u64,
         lookup: &mut L,
     ) -> Result<(), CompileError> {
-        for (&[a, b, c], id) in triangles.iter().zip(first_id..) {
-            let corners = (lookup.get(a)?, lookup.get(b)?, lookup.get(c)?);
-            let Some(sum) = P::sum(corners.0, corners.1, corners.2) else {
-                match lookup.fault([a, b, c])? {
-                    Fault::NotFinite if self.skip_not_finite => {
-                        self.skipped += 1;
-                        continue;
-                    }
-                    Fault::NotFinite => return Err(CompileError::NotFinite { triangle: id }),
-                    Fault::OutOfRange => {
-                        let reason = format!(
-                            "triangle {id} has a coordinate outside the range of the chosen precision; choose a coarser lattice"
-                        );
-                        return Err(CompileError::Limit { reason });
-                    }
+        let mut sums = [[0.0; BATCH]; 3];
+        let mut indices = [0; BATCH];
+        for (triangles, first_id) in triangles.chunks(BATCH).zip((first_id..).step_by(BATCH)) {
+            // First where they are, then all cells at once, then into the buffers.
+            for (at, &triangle) in triangles.iter().enumerate() {
+                let [a, b, c] = lookup.get_three(triangle)?;
+                [sums[0][at], sums[1][at], sums[2][at]] = P::sum(a, b, c);
+            }
+            let are_valid = self.map.buckets(&sums, self.scale, &mut indices, triangles.len());
+            for (at, &triangle) in triangles.iter().enumerate() {
+                let id = first_id + at as u64;
+                if !are_valid && !is_valid([sums[0][at], sums[1][at], sums[2][at]]) {
+                    self.refuse(triangle, id, lookup)?;
+                    continue;
                 }
-            };
-            let index = self.map.bucket(sum, self.scale);
-            let bucket = &mut self.buckets[index];
-            if bucket.len == 0 {
-                (bucket.first_id, bucket.material, bucket.run_start) = (id, material, 0);
-            } else if bucket.len as usize == self.capacity || id - bucket.first_id > u64::from(u32::MAX) {
-                self.flush(index, lookup)?;
+                let index = usize::from(indices[at]);
                 let bucket = &mut self.buckets[index];
-                (bucket.first_id, bucket.material, bucket.run_start) = (id, material, 0);
+                let distance = id.wrapping_sub(bucket.first_id);
+                let len = bucket.len as usize;
+                // The first in its buffer, or one that does not go into it as it is.
+                if len.wrapping_sub(1) >= self.capacity - 1
+                    || bucket.material != material
+                    || distance > u64::from(u32::MAX)
+                {
+                    self.add_odd(index, triangle, material, id, lookup)?;
+                    continue;
+                }
+                let [a, b, c] = triangle;
+                self.buffers[index * self.capacity + len] = [a, b, c, distance as u32];
+                bucket.len += 1;
             }
-            let bucket = &mut self.buckets[index];
-            if bucket.material != material {
-                bucket.materials.push([bucket.len as u16 - bucket.run_start, bucket.material]);
-                (bucket.material, bucket.run_start) = (material, bucket.len as u16);
-            }
-            self.buffers[index * self.capacity + bucket.len as usize] =
-                [a, b, c, (id - bucket.first_id) as u32];
-            bucket.len += 1;
         }
+        Ok(())
+    }
+
+    /// Leaves out a triangle that no file can hold, or says why not.
+    #[cold]
+    fn refuse<L: Lookup<Point = P>>(
+        &mut self,
+        triangle: [u32; 3],
+        id: u64,
+        lookup: &mut L,
+    ) -> Result<(), CompileError> {
+        match lookup.fault(triangle)? {
+            Fault::NotFinite if self.skip_not_finite => {
+                self.skipped += 1;
+                Ok(())
+            }
+            Fault::NotFinite => Err(CompileError::NotFinite { triangle: id }),
+            Fault::OutOfRange => {
+                let reason = format!(
+                    "triangle {id} has a coordinate outside the range of the chosen precision; choose a coarser lattice"
+                );
+                Err(CompileError::Limit { reason })
+            }
+        }
+    }
+
+    /// Places a triangle in a bucket whose buffer is empty, full or of another material.
+    #[cold]
+    fn add_odd<L: Lookup<Point = P>>(
+        &mut self,
+        index: usize,
+        [a, b, c]: [u32; 3],
+        material: u16,
+        id: u64,
+        lookup: &mut L,
+    ) -> Result<(), CompileError> {
+        let bucket = &mut self.buckets[index];
+        if bucket.len == 0 {
+            (bucket.first_id, bucket.material, bucket.run_start) = (id, material, 0);
+        } else if bucket.len as usize == self.capacity || id - bucket.first_id > u64::from(u32::MAX) {
+            self.flush(index, lookup)?;
+            let bucket = &mut self.buckets[index];
+            (bucket.first_id, bucket.material, bucket.run_start) = (id, material, 0);
+        }
+        let bucket = &mut self.buckets[index];
+        if bucket.material != material {
+            bucket.materials.push([bucket.len as u16 - bucket.run_start, bucket.material]);
+            (bucket.material, bucket.run_start) = (material, bucket.len as u16);
+        }
+        self.buffers[index * self.capacity + bucket.len as usize] = [a, b, c, (id - bucket.first_id) as u32];
+        bucket.len += 1;
         Ok(())
     }
 

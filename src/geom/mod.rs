@@ -24,7 +24,7 @@ pub use aabb::Aabb;
 pub use affine::Affine;
 pub use bounds::HitErrorBounds;
 pub use crossing::Sense;
-pub use degenerate::is_degenerate;
+pub use degenerate::{count_degenerate, is_degenerate};
 pub use float::{
     U32, U64, gamma, gamma_f32, relative_bounds_f32, relative_down_f32, relative_up_f32, round_down_f32,
     round_up_f32,

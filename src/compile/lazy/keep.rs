@@ -123,7 +123,7 @@ fn write_cells<P: Point>(
             buffer.clear();
         }
         let start = buffer.len();
-        let (mut cell, mut materials) = (Box4::<P::Real>::EMPTY, [u16::MAX, 0]);
+        let (mut cell, mut materials) = (Box4::<P::Real>::empty(), [u16::MAX, 0]);
         let (mut triangles, mut vertices) = (0, 0);
         for chunk in &scattered.chunks[range.clone()] {
             triangles += u32::from(chunk.triangles);
@@ -134,10 +134,7 @@ fn write_cells<P: Point>(
             scattered.spills[chunk.spill as usize].read(chunk.offset, &mut buffer[start..])?;
             survey(
                 &buffer[start..],
-                |vertex: P| {
-                    let vertex = vertex.real();
-                    cell.merge(&Box4::of(vertex, vertex, vertex));
-                },
+                |vertex: P| cell.grow(P::quad(&[vertex], 0)),
                 |material| materials = [materials[0].min(material), materials[1].max(material)],
             );
         }

@@ -120,6 +120,13 @@ impl Chunk {
                     }
                 }
                 (b'f', b' ') => {
+                    if let Some((three, next)) = fast::triangle(data, at, ANY_VERTEX.known) {
+                        triangles.push(three);
+                        let [a, b, c] = three;
+                        at = next;
+                        extend(runs, RunKind::Triangles, a.max(b).max(c), at);
+                        continue;
+                    }
                     let parsed = fast::face::<ATTRIBUTES>(
                         data,
                         at + 2,

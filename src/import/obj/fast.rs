@@ -6,6 +6,7 @@
 use crate::import::attributes::Reference;
 use crate::import::number;
 use crate::import::sink::NO_INDEX;
+use crate::simd::other_than_digits;
 
 /// Place of the first byte from `at` that is not a blank or a tab.
 #[inline(always)]
@@ -44,6 +45,42 @@ pub(super) fn vertex(data: &[u8], at: usize) -> Option<([f64; 3], bool, usize)> 
         (_, _, at) = number::scan(data, skip_blanks(data, at))?;
     }
     None
+}
+
+/// Three positive indices of at most eight digits with a blank between them and a line feed behind: the commonest face, from the start
+/// of its line. Gives them counted from 0, each below `known`, and the start of the next line. [`face`] takes the same lines.
+#[inline(always)]
+pub(super) fn triangle(data: &[u8], at: usize, known: u64) -> Option<([u32; 3], usize)> {
+    let line = data.get(at..)?.first_chunk::<32>()?;
+    // From behind `f` and its blank: lengths of runs of digits.
+    let others = other_than_digits(line) >> 2;
+    let first = others.trailing_zeros();
+    let others = others >> (first & 31) >> 1;
+    let second = others.trailing_zeros();
+    let others = others >> (second & 31) >> 1;
+    let third = others.trailing_zeros();
+    // A length of 0 is as large as any here.
+    let longest = first.wrapping_sub(1) | second.wrapping_sub(1) | third.wrapping_sub(1);
+    if longest >= 8 {
+        return None;
+    }
+    let places = [2, 3 + first as usize, 4 + (first + second) as usize];
+    let end = places[2] + third as usize;
+    if line[places[1] - 1] != b' ' || line[places[2] - 1] != b' ' || line[end] != b'\n' {
+        return None;
+    }
+    let lengths = [first, second, third];
+    // Index 0, which counts from 0 as the greatest number, is never known.
+    let known = known.min(u32::MAX.into());
+    let mut indices = [0; 3];
+    let mut are_known = true;
+    for corner in 0..3 {
+        let index =
+            number::value(line[places[corner]..].first_chunk::<8>()?, lengths[corner]).wrapping_sub(1);
+        are_known &= u64::from(index) < known;
+        indices[corner] = index;
+    }
+    are_known.then_some((indices, at + end + 1))
 }
 
 /// What the indices of a face count from.
@@ -190,4 +227,46 @@ pub(super) fn numbers<const LEAST: usize>(data: &[u8], mut at: usize) -> Option<
         at = after;
     }
     None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::procedural::random::Random;
+
+    #[test]
+    fn the_commonest_face_is_a_face() {
+        let mut random = Random::new(21);
+        let mut taken = 0;
+        for _ in 0..4000 {
+            // Mostly plain lines; bytes that end, join or spoil numbers, lengths of 0 to 10 digits, leading zeros.
+            let mut line = b"f ".to_vec();
+            for place in 0..2 + random.next_u64() % 3 {
+                if place > 0 {
+                    line.push(if random.next_u64().is_multiple_of(20) {
+                        b"\t/-\r,"[random.next_u64() as usize % 5]
+                    } else {
+                        b' '
+                    });
+                }
+                let length = if random.next_u64().is_multiple_of(8) {
+                    random.next_u64() % 11
+                } else {
+                    1 + random.next_u64() % 8
+                };
+                line.extend((0..length).map(|_| b'0' + (random.next_u64() % 10) as u8));
+            }
+            line.push(b'\n');
+            line.extend([b'\n'; 32]);
+            let known = [1 << 32, 5000, 0][random.next_u64() as usize % 3];
+            let (mut corners, mut references) = (Vec::new(), Vec::new());
+            let numbering = Numbering { above: 0, known };
+            let face = face::<false>(&line, 2, numbering, &mut corners, &mut references, 100);
+            if let Some(found) = triangle(&line, 0, known) {
+                assert_eq!((face, corners.is_empty()), (Some(found), true), "{line:?}");
+                taken += 1;
+            }
+        }
+        assert!(taken > 300, "{taken}");
+    }
 }

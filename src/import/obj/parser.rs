@@ -290,6 +290,12 @@ impl<'a> Parser<'a> {
                     }
                 }
                 (b'f', b' ') if self.pass != Pass::Vertices => {
+                    if let Some((three, next)) = fast::triangle(data, at, self.feed.vertex_count()) {
+                        self.feed.triangle(three)?;
+                        self.line += 1;
+                        at = next;
+                        continue;
+                    }
                     let (numbering, corners) = (self.numbering(), &mut self.corners);
                     let references = &mut self.references;
                     let parsed = if self.feed.takes_attributes() {

@@ -269,18 +269,19 @@ fn take_triangles<'r>(
     batch: &mut Vec<[u32; 3]>,
 ) -> usize {
     let start = batch.len();
-    let mut all_triangles = true;
-    let mut largest = 0;
-    batch.extend(lists.clone().map(|list| {
+    batch.resize(start + lists.len(), [0; 3]);
+    let (mut odd, mut bits) = (0, 0);
+    for (into, list) in batch[start..].iter_mut().zip(lists.clone()) {
         let corners = corners(list);
-        all_triangles &= list[0] == 3;
-        largest = largest.max(corners[0]).max(corners[1]).max(corners[2]);
-        corners
-    }));
-    if all_triangles && u64::from(largest) < limit {
+        odd |= list[0] ^ 3;
+        // No index is above the bits of all together.
+        bits |= corners[0] | corners[1] | corners[2];
+        *into = corners;
+    }
+    if odd == 0 && u64::from(bits) < limit {
         return batch.len() - start;
     }
-    // Only a run with an odd record comes here.
+    // Only a run with an odd record comes here, or one near the last vertices.
     let good = lists
         .take_while(|list| list[0] == 3 && corners(list).iter().all(|corner| u64::from(*corner) < limit))
         .count();
