@@ -237,7 +237,14 @@ impl Block {
         let images = self.images.filter(|images| images.all().next().is_some());
         let (mut record, reasons) =
             record(self.name, material.unwrap_or_default(), images.as_deref().unwrap_or(&NO_IMAGES));
-        record.images = images;
+        record.images = images.map(|mut images| {
+            // A picture times nothing is not looked at.
+            images.emission = images.emission.filter(|_| record.emission != [0.0; 3]);
+            images.roughness = images.roughness.filter(|_| record.roughness > 0.0);
+            images.metalness = images.metalness.filter(|_| record.metalness > 0.0);
+            images
+        });
+        record.images = record.images.filter(|images| images.all().next().is_some());
         for reason in reasons {
             report.warn(path, Some(self.line), reason);
         }
@@ -255,7 +262,8 @@ fn parse(statements: &[Statement]) -> Option<tobj::Material> {
     tobj::load_mtl_buf(&mut text.as_bytes()).ok()?.0.pop()
 }
 
-/// The record of a material with these pictures, and what had to be changed about it. A picture of what no statement says stands alone, times 1.
+/// The record of a material with these pictures, and what had to be changed about it. A picture of what no statement says stands alone, times 1: also where
+/// a model has no texture coordinates to find it by, and the number is all there is.
 fn record(name: String, material: tobj::Material, images: &MaterialImages) -> (MaterialRecord, Vec<String>) {
     let mut reasons = Vec::new();
     let mut value = |keyword: &str, given: Option<f32>, default: f32, range: [f32; 2]| match given {

@@ -45,21 +45,26 @@ pub(crate) struct Variation {
 }
 
 impl Variation {
-    /// What the pictures of a material change that shows: nothing where there is no metal to begin with, where a finish says how rough it is, or where
-    /// nothing depends on it. `is_lit` says whether there are highlights.
-    pub fn of(record: &MaterialRecord, finish: &Finish, is_lit: bool, textures: &Textures) -> Variation {
+    /// What the pictures of a material change that shows with these effects: nothing where there is no metal to begin with, where a finish says how rough
+    /// it is, or where nothing depends on it.
+    pub fn of(
+        record: &MaterialRecord,
+        finish: &Finish,
+        effects: &Simulated,
+        textures: &Textures,
+    ) -> Variation {
         let Some(images) = &record.images else { return Variation::default() };
-        let mixture = Mixture::new(record, finish);
-        let shows_roughness = mixture.metalness > 0.0
-            || mixture.mirror != DVec3::ZERO
-            || mixture.refracts && mixture.transmission > 0.0
-            || is_lit && mixture.exponent_by_roughness && mixture.highlight != DVec3::ZERO;
+        let mixture = Mixture::new(record, finish).simulated(effects);
+        let is_metal = mixture.metalness > 0.0;
+        let has_highlight =
+            mixture.highlight != DVec3::ZERO || is_metal && mixture.metal_highlight != DVec3::ZERO;
+        let shows_roughness = mixture.has_lobes || mixture.exponent_by_roughness && has_highlight;
         let is_rough = mixture.roughness > 0.0 && finish.roughness.is_none();
         let range = |map: &ImageMap, channel: usize| {
             let found = textures.find(&map.path, Encoding::Linear);
             found.map_or([0.0, 1.0], |texture| textures.color_ranges(texture)[channel])
         };
-        let metalness = images.metalness.as_ref().filter(|_| mixture.metalness > 0.0);
+        let metalness = images.metalness.as_ref().filter(|_| is_metal);
         let roughness = images.roughness.as_ref().filter(|_| is_rough && shows_roughness);
         Variation {
             metalness: metalness.map(|map| range(map, METALNESS_CHANNEL)),
@@ -105,8 +110,9 @@ pub(crate) struct Mixture {
     pub metalness: f64,
     pub roughness: f64,
     reflection: bool,
-    glossy: bool,
-    frosted: bool,
+    /// Whether what is mirrored or refracted is spread by the roughness: for the material as a whole, so that one place has no lobe that the ends of its
+    /// pictures lack.
+    has_lobes: bool,
 }
 
 impl Mixture {
@@ -117,7 +123,7 @@ impl Mixture {
         let color = |color: [f32; 3]| DVec3::from_array(color.map(sensible));
         let (diffuse, specular) = (color(record.diffuse), color(record.specular));
         let refracts = refractive_index(record) != 1.0;
-        Mixture {
+        let mixture = Mixture {
             diffuse: diffuse * opacity,
             highlight: specular,
             mirror: if record.mirror { specular.min(DVec3::ONE) * opacity } else { DVec3::ZERO },
@@ -130,8 +136,20 @@ impl Mixture {
             metalness: sensible(record.metalness).min(1.0),
             roughness: finish.roughness_of(record),
             reflection: true,
-            glossy: true,
-            frosted: true,
+            has_lobes: false,
+        };
+        Mixture { has_lobes: mixture.may_have_lobes(true, true), ..mixture }
+    }
+
+    /// Whether lobes are simulated, by whether mirrors may have them and what refracts: a place that does both has one roughness, and is smooth if either is to
+    /// be.
+    fn may_have_lobes(&self, glossy: bool, frosted: bool) -> bool {
+        let mirrors = self.mirror != DVec3::ZERO || self.metalness > 0.0 && self.metal != DVec3::ZERO;
+        match (mirrors, self.refracts && self.transmission > 0.0) {
+            (true, true) => glossy && frosted,
+            (true, false) => glossy,
+            (false, true) => frosted,
+            (false, false) => false,
         }
     }
 
@@ -151,8 +169,9 @@ impl Mixture {
             // The metal keeps it by itself, and so does any mix of the two.
             self.diffuse = self.diffuse.min((DVec3::ONE - self.mirror - self.transmission).max(DVec3::ZERO));
         }
-        let Simulated { reflection, glossy, frosted, .. } = *effects;
-        Mixture { reflection, glossy, frosted, ..self }
+        self.reflection = effects.reflection;
+        self.has_lobes = self.may_have_lobes(effects.glossy, effects.frosted);
+        self
     }
 
     /// What is known without pictures.
@@ -169,7 +188,7 @@ impl Mixture {
         let transmission = if self.refracts { self.transmission * rest } else { self.transmission };
         let (is_mirror, is_glass) = (mirror != DVec3::ZERO, self.refracts && transmission > 0.0);
         let reflected = mirror + self.metal * diffuse * metalness;
-        let is_rough = self.glossy && reflected != DVec3::ZERO || self.frosted && is_glass;
+        let is_rough = self.has_lobes && (reflected != DVec3::ZERO || is_glass);
         let alpha = if is_rough { alpha_of(roughness) } else { 0.0 };
         // A rough lobe is the highlight.
         let highlight = match alpha > 0.0 && (is_mirror || is_glass) {

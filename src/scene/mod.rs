@@ -35,7 +35,7 @@ pub use gltf::GltfView;
 pub use lens::Lens;
 pub(crate) use light::Emitter;
 pub use light::{Falloff, Light};
-pub(crate) use mixture::{Look, METALNESS_CHANNEL, Mixture, ROUGHNESS_CHANNEL, Terms};
+pub(crate) use mixture::{Look, METALNESS_CHANNEL, Mixture, ROUGHNESS_CHANNEL, Terms, Variation};
 pub use plan::{AttributeKinds, EffectDecision, EffectPlan};
 pub(crate) use sphere::{cosine_direction, frame_around, to_frame};
 pub use surface::Surface;

@@ -40,6 +40,7 @@ pub struct EffectPlan {
     decisions: Vec<EffectDecision>,
     needed: EffectSet,
     forced: EffectSet,
+    switched_off: EffectSet,
 }
 
 impl EffectPlan {
@@ -100,7 +101,7 @@ impl EffectPlan {
             let reason = if called_for && off { format!("switched off ({reason})") } else { reason };
             decisions.push(EffectDecision { effect, needed: is_needed, reason });
         }
-        EffectPlan { decisions, needed, forced: options.forced }
+        EffectPlan { decisions, needed, forced: options.forced, switched_off: options.switched_off }
     }
 
     /// Whether the scene calls for `effect`.
@@ -164,26 +165,27 @@ impl EffectPlan {
     /// What pictures of roughness and metalness make of a material.
     pub(crate) fn variation(&self, scene: &Scene, record: &MaterialRecord) -> Variation {
         match scene.textures().filter(|_| self.has(Effect::FinishMaps)) {
-            Some(textures) => Variation::of(record, &scene.finish(record), self.makes_highlights(), textures),
+            Some(textures) => Variation::of(record, &scene.finish(record), &self.simulated(), textures),
             None => Variation::default(),
         }
     }
 
     /// What a material is made of, less what belongs to effects outside the plan.
     pub(crate) fn mixture(&self, scene: &Scene, record: &MaterialRecord) -> Mixture {
-        Mixture::new(record, &scene.finish(record)).simulated(&Simulated {
-            highlights: self.makes_highlights(),
-            reflection: self.has(Effect::Reflection),
-            transmission: self.has(Effect::Transmission),
-            glossy: self.has(Effect::GlossyReflection),
-            frosted: self.has(Effect::RoughRefraction),
-            keeps_energy: self.has(Effect::Interreflection),
-        })
+        Mixture::new(record, &scene.finish(record)).simulated(&self.simulated())
     }
 
-    fn makes_highlights(&self) -> bool {
+    fn simulated(&self) -> Simulated {
         let lights = [Effect::DirectLight, Effect::AreaLight, Effect::EnvironmentLight];
-        lights.into_iter().any(|effect| self.has(effect))
+        Simulated {
+            highlights: lights.into_iter().any(|effect| self.has(effect)),
+            reflection: self.has(Effect::Reflection),
+            transmission: self.has(Effect::Transmission),
+            // One that is not needed takes nothing from the other: see `Mixture`.
+            glossy: !self.switched_off.contains(Effect::GlossyReflection),
+            frosted: !self.switched_off.contains(Effect::RoughRefraction),
+            keeps_energy: self.has(Effect::Interreflection),
+        }
     }
 
     fn of_terms(&self, scene: &Scene, record: &MaterialRecord, terms: &Terms) -> Surface {

@@ -1,7 +1,7 @@
 //! The traits of a scene and its materials that call for effects, and the verdict on each effect in words.
 
 use super::effect::{Effect, EffectOptions, EffectSet};
-use super::mixture::{Mixture, Terms, Variation};
+use super::mixture::{Mixture, Simulated, Terms, Variation};
 use super::plan::AttributeKinds;
 use super::{Light, Scene, Surface};
 use crate::model::MaterialRecord;
@@ -61,12 +61,23 @@ impl Traits {
         traits.point_lights = scene.lights().iter().filter(shining).count() - traits.area_lights;
         let is_off = |effect| options.switched_off.contains(effect);
         let finishes = scene.textures().filter(|_| attributes.uvs && !is_off(Effect::FinishMaps));
-        let is_lit = traits.point_lights + traits.area_lights > 0
-            || scene.environment().is_some_and(|environment| !environment.is_dark());
+        let is_shining = scene.environment().is_some_and(|environment| !environment.is_dark());
+        let simulated = Simulated {
+            highlights: traits.point_lights > 0 && !is_off(Effect::DirectLight)
+                || traits.area_lights > 0 && !is_off(Effect::AreaLight)
+                || is_shining && !is_off(Effect::EnvironmentLight),
+            reflection: !is_off(Effect::Reflection),
+            transmission: !is_off(Effect::Transmission),
+            glossy: !is_off(Effect::GlossyReflection),
+            frosted: !is_off(Effect::RoughRefraction),
+            // What pictures change does not depend on it.
+            keeps_energy: false,
+        };
         for record in materials {
             let finish = scene.finish(record);
-            let variation = finishes
-                .map_or(Variation::default(), |textures| Variation::of(record, &finish, is_lit, textures));
+            let variation = finishes.map_or(Variation::default(), |textures| {
+                Variation::of(record, &finish, &simulated, textures)
+            });
             traits.varied.add(variation.is_any(), record);
             // Whatever pictures make of it.
             let mixture = Mixture::new(record, &finish);

@@ -169,7 +169,7 @@ fn write(
         let (path, place) = place_of(key, folder);
         decode(&path, place, budget, &mut rows)?;
         let found = rows.pyramid.as_ref().map(|pyramid| (pyramid.has_alpha, pyramid.extremes));
-        let (has_alpha, extremes) = found.unwrap_or((false, [[0; 4], [255; 4]]));
+        let (has_alpha, extremes) = found.unwrap_or((false, [[0, 0, 0, 255], [255; 4]]));
         let [width, height] = rows.size;
         images.push(Image { key: key.clone(), width, height, first_tile, has_alpha, extremes });
     }

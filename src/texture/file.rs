@@ -277,10 +277,12 @@ fn parse(bytes: &[u8], image_count: u32, tiles: u32) -> Option<(Vec<Image>, Vec<
         next_tile = next_tile.checked_add(tile_count(width, height))?;
         let key = ImageKey { path: PathBuf::from(std::str::from_utf8(path).ok()?), encoding };
         let extremes = [16, 20].map(|at| [0, 1, 2, 3].map(|channel| head[at + channel]));
-        if (0..4).any(|channel| extremes[0][channel] > extremes[1][channel]) {
+        let has_alpha = head[13] == 1;
+        let is_opaque = extremes[0][3] == 255;
+        if has_alpha == is_opaque || (0..4).any(|channel| extremes[0][channel] > extremes[1][channel]) {
             return None;
         }
-        images.push(Image { key, width, height, first_tile, has_alpha: head[13] == 1, extremes });
+        images.push(Image { key, width, height, first_tile, has_alpha, extremes });
         rest = after;
     }
     let sums = rest.as_chunks::<8>();

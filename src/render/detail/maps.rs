@@ -2,7 +2,7 @@
 
 use super::forced::ForcedDetails;
 use crate::model::{ImageMap, MaterialRecord};
-use crate::scene::{Effect, EffectPlan, Mixture, Scene};
+use crate::scene::{Effect, EffectPlan, Mixture, Scene, Variation};
 use crate::texture::{Address, Encoding, TextureId, Textures};
 use crate::trace::MaterialSet;
 use crate::units::MaterialId;
@@ -83,6 +83,8 @@ pub(crate) struct MaterialMaps {
     pub metalness: Option<Placed>,
     /// What the material is made of, if terms are to be mixed anew wherever it is hit.
     pub mixture: Option<Mixture>,
+    /// Between which numbers the pictures of roughness and metalness say they are.
+    pub variation: Variation,
 }
 
 impl MaterialMaps {
@@ -96,6 +98,7 @@ impl MaterialMaps {
         roughness: None,
         metalness: None,
         mixture: None,
+        variation: Variation { metalness: None, roughness: None },
     };
 
     /// Whether a hit that is there looks different by them.
@@ -135,10 +138,12 @@ impl MaterialMaps {
         };
         let mixture = plan.mixture(scene, record);
         let diffuse = find(Effect::Textures, &images.diffuse, Encoding::Srgb);
-        let has_colored_metal = mixture.metalness > 0.0 && diffuse.is_some();
+        let specular = find(Effect::Textures, &images.specular, Encoding::Srgb);
+        // Colours are those of either part alone.
+        let has_colored_parts = mixture.metalness > 0.0 && (diffuse.is_some() || specular.is_some());
         MaterialMaps {
             diffuse,
-            specular: find(Effect::Textures, &images.specular, Encoding::Srgb),
+            specular,
             cut_out: match opacity {
                 Some(map) => {
                     let channel = if textures.has_alpha(map.texture) { CutOut::ALPHA } else { CutOut::RED };
@@ -157,7 +162,8 @@ impl MaterialMaps {
             emission: find(Effect::Textures, &images.emission, Encoding::Srgb).filter(|_| glows),
             roughness: number(variation.roughness.is_some(), &images.roughness),
             metalness: number(variation.metalness.is_some(), &images.metalness),
-            mixture: Some(mixture).filter(|_| variation.is_any() || has_colored_metal),
+            mixture: Some(mixture).filter(|_| variation.is_any() || has_colored_parts),
+            variation,
         }
     }
 }

@@ -19,7 +19,7 @@ use super::counters::EffectCounters;
 use super::query::RayQuery;
 use super::stage::{Shader, Stage};
 use crate::error::TraceError;
-use crate::scene::{Look, METALNESS_CHANNEL, ROUGHNESS_CHANNEL};
+use crate::scene::{Look, METALNESS_CHANNEL, ROUGHNESS_CHANNEL, Variation};
 use crate::trace::Hit;
 
 /// How wide a ray is where it begins, and how much wider it becomes along a unit of its way: what of a picture it sees at once.
@@ -165,12 +165,17 @@ fn local_terms<Q: RayQuery>(
         both if *both == maps.roughness => roughness,
         other => other.as_ref().map(&mut numbers).transpose()?,
     };
-    let share = |numbers: Option<[f64; 4]>, channel: usize| numbers.map_or(1.0, |numbers| numbers[channel]);
+    // Within what bounds on light were told, whatever is in a file.
+    let share = |numbers: Option<[f64; 4]>, channel: usize, range: Option<[f64; 2]>| {
+        let [least, most] = range.unwrap_or([0.0, 1.0]);
+        numbers.map_or(1.0, |numbers| numbers[channel].max(least).min(most))
+    };
+    let Variation { metalness: metal, roughness: rough } = maps.variation;
     local.mix(&mixture.at(&Look {
         diffuse,
         specular,
-        metalness: mixture.metalness * share(metalness, METALNESS_CHANNEL),
-        roughness: mixture.roughness * share(roughness, ROUGHNESS_CHANNEL),
+        metalness: mixture.metalness * share(metalness, METALNESS_CHANNEL, metal),
+        roughness: mixture.roughness * share(roughness, ROUGHNESS_CHANNEL, rough),
     }));
     Ok(local)
 }

@@ -266,18 +266,35 @@ fn a_smooth_mirror_keeps_its_highlight_beside_a_rough_one() {
 fn ends_hold_whatever_a_picture_says() {
     let channel_max = |color: [f64; 3]| color.into_iter().fold(0.0, f64::max);
     let scene = sun().with_light(panel()).with_interreflection();
-    let textures = picture(|x, y| [0, 3 * x as u8 + 40, 2 * y as u8 + 100, 255]);
-    let scene = scene.with_textures(Arc::clone(&textures));
-    for record in materials() {
+    // Some of each, and from nothing to nearly all.
+    let some = picture(|x, y| [0, 3 * x as u8 + 40, 2 * y as u8 + 100, 255]);
+    let whole = picture(|x, y| [0, 4 * x as u8, 4 * y as u8, 255]);
+    let cases = [(some, [40, 229], [100, 226]), (whole, [0, 252], [0, 252])];
+    let off = [
+        EffectSet::EMPTY,
+        EffectSet::EMPTY.with(Effect::RoughRefraction),
+        EffectSet::EMPTY.with(Effect::GlossyReflection),
+        EffectSet::EMPTY.with(Effect::Reflection),
+        EffectSet::EMPTY.with(Effect::Transmission),
+    ];
+    let mut seen = 0;
+    for (record, ((textures, greens, blues), switched_off)) in materials()
+        .into_iter()
+        .flat_map(|record| cases.iter().map(move |case| (record.clone(), case)))
+        .flat_map(|(record, case)| off.into_iter().map(move |off| (record.clone(), (case, off))))
+    {
+        let scene = scene.clone().with_textures(Arc::clone(textures));
         let record = with_images(record, images());
         let kinds = AttributeKinds { uvs: true, normals: false };
-        let plan = EffectPlan::of_parts(&scene, [&record], kinds, &settings().effect_options());
+        let options = RenderSettings { switched_off, ..settings() }.effect_options();
+        let plan = EffectPlan::of_parts(&scene, [&record], kinds, &options);
         assert!(plan.has(Effect::FinishMaps), "{}", plan.explain());
         let ends = plan.ends(&scene, &record);
         let most = |term: &dyn Fn(&Surface) -> f64| ends.iter().map(term).fold(0.0, f64::max);
         let sharpest = ends.iter().map(|end| end.alpha).filter(|alpha| *alpha > 0.0).fold(1.0, f64::min);
         let mixture = plan.mixture(&scene, &record);
-        for (green, blue) in (40..=229).step_by(9).flat_map(|g| (100..=226).step_by(9).map(move |b| (g, b))) {
+        let steps = |[from, to]: [u8; 2]| (from..=to).step_by(9);
+        for (green, blue) in steps(*greens).flat_map(|green| steps(*blues).map(move |blue| (green, blue))) {
             let terms = mixture.at(&crate::scene::Look {
                 roughness: mixture.roughness * f64::from(share(green)),
                 metalness: mixture.metalness * f64::from(share(blue)),
@@ -293,6 +310,57 @@ fn ends_hold_whatever_a_picture_says() {
             assert!(terms.alpha == 0.0 || terms.alpha >= sharpest, "{} {sharpest}", terms.alpha);
             let highlight = channel_max(terms.highlight.to_array());
             assert!(highlight <= most(&|end| channel_max(end.highlight)) + 1e-12);
+            // No lobe of an effect that is off, and none that no end has for the same way of light.
+            let is_glass = record.refractive_index != 1.0 && terms.transmission > 0.0;
+            if terms.alpha > 0.0 && is_glass {
+                assert!(!switched_off.contains(Effect::RoughRefraction), "{record:?}");
+                assert!(ends.iter().any(|end| end.alpha > 0.0 && end.transmission > 0.0), "{record:?}");
+            }
+            if terms.alpha > 0.0 && terms.mirror != glam::DVec3::ZERO {
+                assert!(!switched_off.contains(Effect::GlossyReflection), "{record:?}");
+                assert!(ends.iter().any(|end| end.alpha > 0.0 && end.is_mirror()), "{record:?}");
+            }
+            seen += 1;
         }
+    }
+    assert!(seen > 10_000, "{seen}");
+}
+
+/// A picture of what is no metal leaves the metal its colour.
+#[test]
+fn a_picture_of_highlights_does_not_tint_metal() {
+    let textures = picture(|_, _| [25, 25, 25, 255]);
+    let map = MaterialImages { specular: Some(ImageMap::new("finish")), ..MaterialImages::default() };
+    for scene in scenes() {
+        let plain = render(&still(metal(0.5)), &scene, &settings());
+        let scene = scene.with_textures(Arc::clone(&textures));
+        let with_picture = render(&still(with_images(metal(0.5), map.clone())), &scene, &settings());
+        assert!(plain.film.pixels() == with_picture.film.pixels());
+        assert!(with_picture.totals.effects.texture_reads > 0);
+    }
+}
+
+/// Where nothing depends on what a picture says, it is not looked at.
+#[test]
+fn pictures_that_change_nothing_are_not_needed() {
+    let textures = picture(|x, y| [0, 4 * x as u8, 4 * y as u8, 255]);
+    let map = || Some(ImageMap::new("finish"));
+    let rough_only = MaterialImages { roughness: map(), ..MaterialImages::default() };
+    let mirror = MaterialRecord { mirror: true, specular: [0.5; 3], roughness: 0.5, ..matt(0.2) };
+    let paint = MaterialRecord { metalness: 0.0, exponent_by_roughness: true, ..metal(0.7) };
+    let kinds = AttributeKinds { uvs: true, normals: false };
+    for (record, off, is_needed) in [
+        (&mirror, EffectSet::EMPTY, true),
+        (&mirror, EffectSet::EMPTY.with(Effect::GlossyReflection), false),
+        (&mirror, EffectSet::EMPTY.with(Effect::Reflection), false),
+        (&paint, EffectSet::EMPTY, true),
+        (&paint, EffectSet::EMPTY.with(Effect::DirectLight), false),
+    ] {
+        let record = with_images(record.clone(), rough_only.clone());
+        let scene = sun().with_textures(Arc::clone(&textures));
+        let options = RenderSettings { switched_off: off, ..settings() }.effect_options();
+        let plan = EffectPlan::of_parts(&scene, [&record], kinds, &options);
+        assert_eq!(plan.has(Effect::FinishMaps), is_needed, "{record:?}\n{}", plan.explain());
+        assert_eq!(plan.variation(&scene, &record).is_any(), is_needed);
     }
 }
