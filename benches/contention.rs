@@ -132,7 +132,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 fn open(path: &Path) -> Result<LazyOctree, Box<dyn Error>> {
     let budget = MemoryBudget::new(Bytes::mib(4096));
-    Ok(LazyOctree::open(Arc::new(DiskSource::open(path)?), &budget, OctreeOptions::default())?)
+    let options = OctreeOptions { tracers_max: WORKERS as u32, ..OctreeOptions::default() };
+    Ok(LazyOctree::open(Arc::new(DiskSource::open(path)?), &budget, options)?)
 }
 
 impl Rays {
