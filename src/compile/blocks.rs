@@ -246,10 +246,22 @@ struct Duplicates {
     last: Vec<u16>,
     /// Of each triangle: the other two vertices, and the triangle before it in its list.
     links: Vec<([u16; 2], u16)>,
+    /// The triangles, each with its vertices in order, where lists are too long.
+    sorted: Vec<[u16; 3]>,
 }
+
+/// Steps along lists for each triangle of a block, on average, beyond which its triangles are sorted instead: many share their greatest vertex then.
+const STEPS_MAX: usize = 8;
 
 /// More than any block has.
 const NO_TRIANGLE: u16 = u16::MAX;
+
+/// The vertices of a triangle, the least first.
+#[inline(always)]
+fn in_order([a, b, c]: [u16; 3]) -> [u16; 3] {
+    let (low, high) = (a.min(b), a.max(b));
+    [low.min(c), low.max(c.min(high)), high.max(c)]
+}
 
 impl Duplicates {
     /// How many triangles have the vertices of one before them. All vertices are below `vertex_count`.
@@ -258,13 +270,17 @@ impl Duplicates {
         self.last.resize(vertex_count, NO_TRIANGLE);
         self.links.resize(triangles.len(), ([0; 2], NO_TRIANGLE));
         let (last, links) = (&mut self.last[..], &mut self.links[..]);
-        let mut duplicates = 0;
-        for (index, &[a, b, c]) in triangles.iter().enumerate() {
-            let (low, high) = (a.min(b), a.max(b));
-            let others = [low.min(c), low.max(c.min(high))];
-            let last = &mut last[usize::from(high.max(c))];
+        let (mut duplicates, mut steps_left) = (0, STEPS_MAX * triangles.len());
+        for (index, &triangle) in triangles.iter().enumerate() {
+            let [low, middle, high] = in_order(triangle);
+            let others = [low, middle];
+            let last = &mut last[usize::from(high)];
             let mut earlier = *last;
             while earlier != NO_TRIANGLE {
+                if steps_left == 0 {
+                    return self.count_sorted(triangles);
+                }
+                steps_left -= 1;
                 let (vertices, before) = links[usize::from(earlier)];
                 if vertices == others {
                     duplicates += 1;
@@ -276,6 +292,14 @@ impl Duplicates {
             *last = index as u16;
         }
         duplicates
+    }
+
+    /// [`Duplicates::count`], whatever the triangles share.
+    fn count_sorted(&mut self, triangles: &[[u16; 3]]) -> u64 {
+        self.sorted.clear();
+        self.sorted.extend(triangles.iter().map(|&triangle| in_order(triangle)));
+        self.sorted.sort_unstable();
+        self.sorted.windows(2).filter(|pair| pair[0] == pair[1]).count() as u64
     }
 }
 
@@ -292,8 +316,12 @@ mod tests {
             // Few vertices and many triangles, and the other way round; also corners that coincide.
             let vertices = 1 + random.next_u64() as usize % [6, 40, 900][round % 3];
             let count = random.next_u64() as usize % 200;
-            let triangles: Vec<[u16; 3]> =
+            let mut triangles: Vec<[u16; 3]> =
                 (0..count).map(|_| [0; 3].map(|_| (random.next_u64() as usize % vertices) as u16)).collect();
+            if round % 10 == 9 {
+                // All about one hub, so that all lists are one.
+                triangles.iter_mut().for_each(|[_, b, _]| *b = vertices as u16);
+            }
             let sets: std::collections::HashSet<[u16; 3]> = triangles
                 .iter()
                 .map(|triangle| {
@@ -302,7 +330,9 @@ mod tests {
                     sorted
                 })
                 .collect();
-            assert_eq!(duplicates.count(&triangles, vertices), (count - sets.len()) as u64);
+            let found = duplicates.count(&triangles, vertices + 1);
+            assert_eq!(found, (count - sets.len()) as u64);
+            assert_eq!(duplicates.count_sorted(&triangles), found);
         }
     }
 }

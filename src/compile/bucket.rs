@@ -27,6 +27,14 @@ pub(super) struct Bucket<P> {
     bytes: Vec<u8>,
 }
 
+/// Where the search for a vertex of this hash begins in a table of `2^length_bits` places: its first bits, which depend on all bits of its coordinates. The last
+/// ones do not depend on those of whole numbers and of steps of an eighth, whose bits as floats end with zeros.
+#[inline(always)]
+fn home(hash: u64, length_bits: u32) -> u32 {
+    // In two steps, for tables of one place.
+    (hash >> 32 >> (32 - length_bits)) as u32
+}
+
 impl<P: Point> Bucket<P> {
     pub(super) fn new() -> Bucket<P> {
         Bucket {
@@ -99,12 +107,13 @@ impl<P: Point> Bucket<P> {
     fn add_chunk(&mut self) {
         let Bucket { vertices, triangles, ids, materials, table, merged, chunk, .. } = self;
         let mask = table.len() - 1;
+        let length_bits = table.len().trailing_zeros();
         merged.clear();
         merged.resize(chunk.vertices.len(), 0);
         for (part, merged) in chunk.vertices.chunks(PREFETCHED).zip(merged.chunks_mut(PREFETCHED)) {
             // The table is larger than the first caches: ask for all places, then go there.
             for (slot, vertex) in merged.iter_mut().zip(part) {
-                *slot = vertex.hash() as u32 & mask as u32;
+                *slot = home(vertex.hash(), length_bits);
                 prefetch(table, *slot as usize);
             }
             for (merged, &vertex) in merged.iter_mut().zip(part) {
@@ -133,5 +142,52 @@ impl<P: Point> Bucket<P> {
         for &[len, material] in &chunk.materials {
             materials.resize(materials.len() + usize::from(len), material);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The steps that putting so many different vertices into a table takes for each.
+    fn steps_per_vertex<P: Point>(vertices: &[P]) -> f64 {
+        let length = (vertices.len() + vertices.len() / 3 + 1).next_power_of_two();
+        let mut taken = vec![false; length];
+        let mut steps = 0;
+        for vertex in vertices {
+            let mut slot = home(vertex.hash(), length.trailing_zeros()) as usize;
+            while std::mem::replace(&mut taken[slot % length], true) {
+                slot += 1;
+                steps += 1;
+            }
+        }
+        steps as f64 / vertices.len() as f64
+    }
+
+    #[test]
+    fn whole_numbers_and_even_steps_are_spread_over_the_table() {
+        let grid = |width: u32, count: u32, place: &dyn Fn(f32, f32) -> [f32; 3]| -> Vec<[f32; 3]> {
+            (0..count).map(|i| place((i % width) as f32, (i / width) as f32)).collect()
+        };
+        let grids = [
+            grid(220, 48_400, &|x, y| [x, y, 5.0]),
+            grid(1024, 48_128, &|x, y| [x, y, 7.0]),
+            grid(220, 48_400, &|x, y| [5.0, x, y]),
+            grid(220, 48_400, &|x, y| [x, -3.0, y]),
+            grid(220, 48_400, &|x, y| [x, y, (x * 7.0 + y * 3.0) % 16.0]),
+            grid(220, 48_400, &|x, y| [0.1 * x, 0.1 * y, 0.0]),
+            grid(220, 48_400, &|x, y| [0.125 * x - 9.0, 0.125 * y, 1.0]),
+            grid(1, 30_000, &|_, y| [y, 0.0, 0.0]),
+            grid(1, 30_000, &|_, y| [0.0, 0.0, y]),
+        ];
+        for (index, vertices) in grids.iter().enumerate() {
+            let steps = steps_per_vertex(vertices);
+            assert!(steps < 8.0, "{index}: {steps}");
+            let on_lattice: Vec<[i64; 3]> =
+                vertices.iter().map(|vertex| vertex.map(|x| (64.0 * x) as i64)).collect();
+            let steps = steps_per_vertex(&on_lattice);
+            assert!(steps < 8.0, "{index}, lattice: {steps}");
+        }
+        assert_eq!(home(u64::MAX, 0), 0);
     }
 }

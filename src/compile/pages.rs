@@ -171,7 +171,7 @@ impl<T: Pod> Pages<T> {
 
     /// An array that is resident, for reading many.
     pub(super) fn resident(&self) -> ResidentPages<'_, T> {
-        ResidentPages(self.areas.iter().map(Vec::as_slice).collect())
+        ResidentPages(&self.areas)
     }
 
     /// Makes a frame for the page after the last, which is full (or there is none).
@@ -236,7 +236,7 @@ impl<T: Pod> Pages<T> {
 }
 
 /// The items of [`Pages`] that are all in memory.
-pub(super) struct ResidentPages<'a, T>(Vec<&'a [T]>);
+pub(super) struct ResidentPages<'a, T>(&'a [Vec<T>]);
 
 impl<T: Pod> ResidentPages<'_, T> {
     /// The item at `index`.
@@ -251,7 +251,7 @@ impl<T: Pod> ResidentPages<'_, T> {
         let [a, b, c] = indices;
         if ((a ^ b) | (a ^ c)) >> AREA_SHIFT == 0 {
             // As in nearly all triangles.
-            let items = self.0[(a >> AREA_SHIFT) as usize];
+            let items = &self.0[(a >> AREA_SHIFT) as usize][..];
             let at = |index: u32| items[index as usize % AREA_ITEMS];
             return [at(a), at(b), at(c)];
         }
