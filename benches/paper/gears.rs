@@ -10,7 +10,7 @@ use outcrop::compile::{CompileOptions, Control, Threads, compile_file};
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::export::write_ply;
 use outcrop::procedural::{Gears, Shape};
-use outcrop::render::{RenderSettings, Renderer};
+use outcrop::render::{RenderSettings, RenderedImage, Renderer};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::DiskSource;
 use outcrop::units::Bytes;
@@ -48,17 +48,7 @@ pub fn table_2(folder: &Path, largest: u32, size: u32) -> Result<(), Box<dyn Err
         compile_file(&model, &compiled, &CompileOptions::default(), &budget, &mut |_| Control::Continue)?;
         let parse = start.elapsed().as_secs_f64();
         let source = Arc::new(DiskSource::open(&compiled)?);
-        let camera = Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], 45.0)?;
-        let scene = Scene::new(camera)
-            .with_background([0.078, 0.361, 0.753])
-            .with_lights(Gears::LAMPS.map(|position| Light::point(position, [0.35; 3])));
-        let settings = RenderSettings::new(size, size);
-        // Film and tables before the slots, which take the rest.
-        let aside = budget.reserve(Bytes::mib(24), "film")?;
-        let octree = LazyOctree::open(source, &budget, OctreeOptions::default())?;
-        drop(aside);
-        let renderer = Renderer::new(&octree, &scene, &settings, &budget)?;
-        renderer.render(&Threads::One, &mut |_| Control::Continue)?;
+        picture(source, &budget, Bytes::mib(24), size)?;
         let full = start.elapsed().as_secs_f64();
         let peak = memory::peak().map_or("-".to_string(), |peak| format!("{peak:.0}"));
         print!(
@@ -69,6 +59,26 @@ pub fn table_2(folder: &Path, largest: u32, size: u32) -> Result<(), Box<dyn Err
         println!("{}", if pov { format!(" {} |", pov_ray(folder, &gears, size)?) } else { String::new() });
     }
     Ok(())
+}
+
+/// The standard view, on one thread from an empty cache: film and tables take up to `aside` of the budget, slots the rest.
+pub fn picture(
+    source: Arc<DiskSource>,
+    budget: &MemoryBudget,
+    aside: Bytes,
+    size: u32,
+) -> Result<RenderedImage, Box<dyn Error>> {
+    let camera = Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], 45.0)?;
+    let scene = Scene::new(camera)
+        .with_background([0.078, 0.361, 0.753])
+        .with_lights(Gears::LAMPS.map(|position| Light::point(position, [0.35; 3])));
+    let settings = RenderSettings::new(size, size);
+    // Film and tables before the slots, which take the rest.
+    let aside = budget.reserve(aside, "film")?;
+    let octree = LazyOctree::open(source, budget, OctreeOptions::default())?;
+    drop(aside);
+    let renderer = Renderer::new(&octree, &scene, &settings, budget)?;
+    Ok(renderer.render(&Threads::One, &mut |_| Control::Continue)?)
 }
 
 /// Seconds of POV-Ray's whole job on the same triangles, grey and lit by the same lamps.

@@ -5,15 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use log_plot::{Series, log_plot};
-use outcrop::compile::{CompileOptions, Control, PrecisionChoice, Threads, compile_shape};
-use outcrop::octree::OctreeOptions;
+use outcrop::MemoryBudget;
+use outcrop::compile::{CompileOptions, Control, PrecisionChoice, compile_shape};
 use outcrop::procedural::{Gears, Shape};
-use outcrop::render::{RenderSettings, Renderer};
-use outcrop::scene::{Camera, Light, Scene};
 use outcrop::source::{BlockSource, DiskSource, PageCache};
 use outcrop::units::Bytes;
-use outcrop::{LazyOctree, MemoryBudget};
 
+use crate::gears::picture;
 use crate::memory;
 // What the plot draws with.
 use crate::memory::svg;
@@ -78,17 +76,7 @@ fn one_size(folder: &Path, n: u32, size: u32) -> Result<Row, Box<dyn Error>> {
     let start = cpu_seconds();
     let source = Arc::new(DiskSource::open_with(&compiled, PageCache::Bypass)?);
     let blocks = source.model().blocks.len();
-    let camera = Camera::pinhole(Gears::EYE, [0.0; 3], [0.0, 0.0, 1.0], 45.0)?;
-    let scene = Scene::new(camera)
-        .with_background([0.078, 0.361, 0.753])
-        .with_lights(Gears::LAMPS.map(|position| Light::point(position, [0.35; 3])));
-    let settings = RenderSettings::new(size, size);
-    // Film and tables before the slots, which take the rest.
-    let aside = budget.reserve(Bytes::mib(48), "film")?;
-    let octree = LazyOctree::open(source, &budget, OctreeOptions::default())?;
-    drop(aside);
-    let renderer = Renderer::new(&octree, &scene, &settings, &budget)?;
-    let image = renderer.render(&Threads::One, &mut |_| Control::Continue)?;
+    let image = picture(source, &budget, Bytes::mib(48), size)?;
     let picture_seconds = cpu_seconds() - start;
     let pixels = image.film.pixels();
     let lit = pixels.iter().filter(|colour| colour.iter().any(|x| *x > 0.0)).count();
