@@ -5,10 +5,10 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::hot::EffectsOfLoop;
-use super::lamps::{Lobes, highlight};
 use super::paths::{PathTracer, Point};
 use super::query::RayQuery;
 use super::random::Dimension;
+use super::response::{Lobes, highlight};
 use super::stage::Stage;
 use crate::error::TraceError;
 use crate::scene::Emitter;

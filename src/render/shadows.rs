@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 
+use super::absorption::absorb;
 use super::counters::EffectCounters;
-use super::optics::absorb;
 use super::query::RayQuery;
 use super::stage::Stage;
 use crate::error::TraceError;
