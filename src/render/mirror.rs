@@ -13,7 +13,7 @@ mod tests {
 
     #[test]
     fn reflection_keeps_the_angle() {
-        let (sin, cos) = libm::sincos(35f64.to_radians());
+        let (sin, cos) = libm::sincos(35_f64.to_radians());
         let incoming = DVec3::new(sin, 0.0, -cos);
         let out = reflect(incoming, DVec3::Z);
         assert!((out - incoming * DVec3::new(1.0, 1.0, -1.0)).length() < 1e-15);
