@@ -1,7 +1,8 @@
 //! What generality costs: a matt scene by the renderer, which knows every effect, and by a loop that knows nothing but a camera, matt
 //! surfaces, lights that weaken not and shadows. Both ask the same queries, and their pictures must be the same to the bit.
 //!
-//! Without arguments the pictures are compared. `full` and `small` make one of them inside `measured`, for counts of instructions:
+//! Without arguments the pictures are compared. `full` and `small` make one of them inside `measured`, for counts of instructions;
+//! `benches/generality.sh` counts both and fails if one is too large for the other. By hand:
 //!
 //! ```text
 //! cargo bench --bench generality --no-run            # names the program

@@ -20,7 +20,7 @@ use super::placer::Placer;
 use super::point::Point;
 use super::precision::{Decision, RoundingWatch, coarsest_lattice, shortest_square};
 use super::refine::{refine, triangle_count};
-use super::scatter::{Scatter, Scattered};
+use super::scatter::{self, Scatter, Scattered};
 use super::spill::SpillPlace;
 use super::temporary::DiskQuota;
 use super::vertices::{Keep, VertexStore};
@@ -412,9 +412,13 @@ impl<'p> Compiler<'p> {
         let needed_later = (WORKER_BYTES * threads as u64).min(self.budget.limit().0 / 3);
         // Two triangles per vertex, if it is not known yet how many there are.
         let expected = self.triangles.max(2 * self.store.len() as u64);
+        let share = self.budget.limit().0 / 12;
+        // Vertices that are not all in memory do with little of it. Where buckets are many and their buffers small, the list of chunks would not
+        // find room otherwise.
+        let needed_now = scatter::bytes_needed(&map, share, expected) + SPILL_BUFFERS;
+        self.store.leave(needed_now.max(headroom(&self.budget)));
         let needed_later = needed_later + Output::directory_bytes(expected / TRIANGLES_PER_BLOCK);
         let headroom = (1 << 20) + needed_later.saturating_sub(self.store.memory_bytes() + GRID_BYTES);
-        let share = self.budget.limit().0 / 12;
         let skip = self.options.skip_not_finite;
         let make = |place: &SpillPlace, share: u64, count: u64| {
             Scatter::new(Arc::clone(&map), unit, place.clone(), share, (expected / count, headroom), skip)

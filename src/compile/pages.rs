@@ -104,6 +104,40 @@ impl<T: Pod> Pages<T> {
         }
     }
 
+    /// Gives back as much memory as is missing for `headroom` bytes of the budget to be free. Only once there is a spill, and not the least that works.
+    pub(super) fn leave(&mut self, headroom: u64) {
+        let missing = headroom.saturating_sub(self.place.budget.available().0);
+        if missing == 0 || self.spill.is_none() {
+            return;
+        }
+        let frames_missing = missing.div_ceil((PAGE_ITEMS * size_of::<T>()) as u64) as usize;
+        let areas = self.frame_count.saturating_sub(frames_missing) / AREA_FRAMES;
+        if areas == 0 {
+            return self.shrink();
+        }
+        let frames = areas * AREA_FRAMES;
+        let full_pages = self.len >> PAGE_SHIFT;
+        // The page that is in no other place stays.
+        let last = self.page_in.iter().position(|page| *page as usize >= full_pages).unwrap_or(0);
+        if last >= frames {
+            let (kept, given_back) = self.areas.split_at_mut(areas);
+            let from =
+                &given_back[last / AREA_FRAMES - areas][last % AREA_FRAMES * PAGE_ITEMS..][..PAGE_ITEMS];
+            kept[0][..PAGE_ITEMS].copy_from_slice(from);
+            self.page_in.swap(0, last);
+        }
+        self.areas.truncate(areas);
+        self.frame_count = frames;
+        self.reservations.truncate(frames);
+        self.hand %= frames;
+        for page in self.page_in.drain(frames..) {
+            self.frame_of[page as usize] = ABSENT;
+        }
+        for (frame, page) in (0..).zip(&self.page_in) {
+            self.frame_of[*page as usize] = frame;
+        }
+    }
+
     /// What the frames hold of the budget.
     pub(super) fn memory_bytes(&self) -> u64 {
         (self.frame_count * PAGE_ITEMS * size_of::<T>()) as u64
@@ -256,5 +290,51 @@ impl<T: Pod> ResidentPages<'_, T> {
             return [at(a), at(b), at(c)];
         }
         [self.get(a), self.get(b), self.get(c)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::temporary::DiskQuota;
+    use super::*;
+    use crate::budget::MemoryBudget;
+
+    #[test]
+    fn what_others_need_is_given_back_and_nothing_is_lost() {
+        let page_bytes = (PAGE_ITEMS * size_of::<[f32; 3]>()) as u64;
+        // The last page is only begun; it may be in any frame.
+        for pages in [100_u32, 171, 200, 231, 260] {
+            for free_pages in [10, 40, 90, 1000] {
+                let budget = MemoryBudget::new(Bytes(100 * page_bytes + (4 << 20)));
+                let place = SpillPlace {
+                    dir: std::env::temp_dir(),
+                    name: "pages-test".into(),
+                    quota: DiskQuota::new(None),
+                    budget: budget.clone(),
+                };
+                let mut list = Pages::<[f32; 3]>::new(place, 2 << 20);
+                let count = pages * PAGE_ITEMS as u32 - 100;
+                let indices: Vec<u32> = (0..count).collect();
+                for batch in indices.chunks(1000) {
+                    list.extend(batch, |index| [index as f32, -1.0, 0.5]).unwrap();
+                }
+                let held = list.memory_bytes();
+                let headroom = free_pages * page_bytes;
+                list.leave(headroom);
+                let is_least = list.frame_count <= FRAMES_MIN;
+                assert!(list.is_resident() || is_least || budget.available().0 >= headroom);
+                assert!(
+                    list.is_resident() || free_pages < 40 || list.memory_bytes() < held,
+                    "{pages} {free_pages}"
+                );
+                list.extend(&[count, count + 1], |index| [index as f32, -1.0, 0.5]).unwrap();
+                // Every page, in an order that is not theirs, and some twice.
+                for step in 0..3 * pages {
+                    let index = (step * 37 % pages * PAGE_ITEMS as u32 + step * 101).min(count);
+                    assert_eq!(list.get(index).unwrap()[0], index as f32);
+                }
+                assert_eq!(list.get(count + 1).unwrap()[0], (count + 1) as f32);
+            }
+        }
     }
 }

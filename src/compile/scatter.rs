@@ -86,6 +86,27 @@ struct Bucket {
     materials: Vec<[u16; 2]>,
 }
 
+/// Triangles that the buffer of each of `count` buckets holds, if all of them may take `share` bytes.
+fn capacity_for(count: usize, share: u64) -> usize {
+    let fitting = share as usize / (count * size_of::<Buffered>());
+    fitting.clamp(BUFFER_TRIANGLES_MIN, CHUNK_TRIANGLES_MAX)
+}
+
+fn buffer_bytes(count: usize, capacity: usize) -> usize {
+    count * (capacity * size_of::<Buffered>() + size_of::<Bucket>())
+}
+
+/// The list of the chunks of so many triangles.
+fn list_bytes(count: usize, capacity: usize, triangles: u64) -> u64 {
+    ChunkRecords::bytes_for(triangles / capacity as u64 + count as u64)
+}
+
+/// What a [`Scatter`] of so many triangles needs of the budget, its spill apart, if its buffers may take `share` bytes.
+pub(super) fn bytes_needed(map: &BucketMap, share: u64, triangles: u64) -> u64 {
+    let capacity = capacity_for(map.count(), share);
+    buffer_bytes(map.count(), capacity) as u64 + list_bytes(map.count(), capacity, triangles)
+}
+
 impl<P: Point> Scatter<P> {
     /// `unit` is the length of a coordinate step of `P`; `share` the bytes that the buffers may take. The spill leaves
     /// `spill_headroom` bytes of the budget alone, and what the list of the chunks of `triangles` triangles takes.
@@ -98,13 +119,11 @@ impl<P: Point> Scatter<P> {
         skip_not_finite: bool,
     ) -> Result<Scatter<P>, BudgetError> {
         let count = map.count();
-        let fitting = share as usize / (count * size_of::<Buffered>());
-        let capacity = fitting.clamp(BUFFER_TRIANGLES_MIN, CHUNK_TRIANGLES_MAX);
-        let bytes = count * (capacity * size_of::<Buffered>() + size_of::<Bucket>());
+        let capacity = capacity_for(count, share);
+        let bytes = buffer_bytes(count, capacity);
         let reservation = place.budget.reserve(Bytes(bytes as u64), "the buffers of buckets")?;
         let chunks = ChunkRecords::new(&place.budget);
-        let spill_headroom =
-            spill_headroom + ChunkRecords::bytes_for(triangles / capacity as u64 + count as u64);
+        let spill_headroom = spill_headroom + list_bytes(count, capacity, triangles);
         Ok(Scatter {
             scale: map.scale() * unit / 3.0,
             capacity,

@@ -108,6 +108,20 @@ impl VertexStore {
         }
     }
 
+    /// Gives back what is missing for `headroom` bytes of the budget to be free, as far as it can do without.
+    pub(super) fn leave(&mut self, headroom: u64) {
+        match self {
+            VertexStore::Float32 { pages, .. } => pages.leave(headroom),
+            VertexStore::Rounded { rounded, exact, .. } => {
+                rounded.leave(headroom);
+                if let Some(exact) = exact {
+                    exact.leave(headroom);
+                }
+            }
+            VertexStore::Exact(pages) => pages.leave(headroom),
+        }
+    }
+
     /// Gives up what a `Float32` file has no use for; returns how many bytes of it were spilled.
     pub(super) fn forget_exact(&mut self) -> u64 {
         match self {

@@ -2,12 +2,12 @@
 
 use glam::DVec3;
 
-use super::bounce::Walk;
 use super::detail::Cone;
 use super::hot::EffectsOfLoop;
 use super::paths::{Head, PathTracer};
 use super::query::RayQuery;
 use super::stage::{CameraSample, PixelSample};
+use super::walk::Walk;
 
 impl<Q: RayQuery> PathTracer<'_, Q> {
     /// Makes the camera rays of these samples the rays that are traced next. What they hit decides which loop they

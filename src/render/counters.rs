@@ -93,7 +93,7 @@ impl EffectCounters {
     }
 
     /// Adds what was looked up.
-    pub(super) fn add_details(&mut self, found: &DetailCounters) {
+    pub(in crate::render) fn add_details(&mut self, found: &DetailCounters) {
         let DetailCounters {
             attribute_lookups,
             texture_reads,

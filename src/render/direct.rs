@@ -5,10 +5,10 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::hot::EffectsOfLoop;
-use super::lamps::{Lobes, highlight};
 use super::paths::{PathTracer, Point};
 use super::query::RayQuery;
 use super::random::Dimension;
+use super::response::{Lobes, highlight};
 use super::stage::Stage;
 use crate::error::TraceError;
 use crate::scene::Emitter;
@@ -93,18 +93,15 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
 /// What a point without luck sends back of a light, if nothing stands in its way.
 #[inline(always)]
 fn received<E: EffectsOfLoop>(stage: &Stage, emitter: &Emitter, point: &Point) -> DVec3 {
-    let incidence = emitter.incidence(point.position);
-    let cosine = incidence.toward.dot(point.normal);
-    if cosine > 0.0 {
-        let shader = stage.shader(point.material);
-        let mut response = shader.diffuse * cosine;
-        if shader.has_highlight {
-            response += highlight(shader, shader.highlight, point, incidence.toward);
-        }
-        // Without rays that go on from hits, points carry everything.
-        let throughput = if E::SECONDARY { point.throughput } else { DVec3::ONE };
-        throughput * response * incidence.irradiance
-    } else {
-        DVec3::ZERO
+    let Some((cosine, incidence)) = emitter.incidence_facing(point.position, point.normal) else {
+        return DVec3::ZERO;
+    };
+    let shader = stage.shader(point.material);
+    let mut response = shader.diffuse * cosine;
+    if shader.has_highlight {
+        response += highlight(shader, shader.highlight, point, incidence.toward);
     }
+    // Without rays that go on from hits, points carry everything.
+    let throughput = if E::SECONDARY { point.throughput } else { DVec3::ONE };
+    throughput * response * incidence.irradiance
 }

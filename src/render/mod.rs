@@ -38,40 +38,54 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod absorption;
 mod adaptive;
+mod area_lights;
 mod begin;
-mod bounce;
 mod bound;
+mod children;
 mod counters;
 mod detail;
 mod direct;
+mod emission;
+mod environment;
+mod facets;
 mod film;
+mod follow;
+mod frosted;
 mod geometry;
+mod ggx;
 mod glossy;
 mod hot;
 mod image;
+mod interreflection;
 mod json;
-mod lamps;
 mod layers;
+mod light_samples;
 mod media;
-mod optics;
+mod mirror;
 mod path_sizes;
 mod paths;
 pub(crate) mod probe;
 mod progress;
 mod query;
 mod random;
+mod refraction;
 mod region;
 mod renderer;
 mod report;
 pub(crate) mod resample;
+mod response;
 mod sampling;
 mod settings;
+mod shade;
 mod shadows;
 mod stage;
 mod tile_samples;
 pub(crate) mod tiles;
 mod waiting;
+mod walk;
+mod ways;
 mod workers;
 
 pub use crate::compile::{Control, Threads};

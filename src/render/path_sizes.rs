@@ -2,13 +2,13 @@
 
 use glam::DVec3;
 
-use super::bounce::Walk;
 use super::detail::query::SurfaceQuery;
-use super::lamps::Scatter;
 use super::media::Borders;
 use super::paths::{Head, Point, Waiting};
+use super::response::Scatter;
 use super::shadows::ShadowBatch;
 use super::stage::{Loop, Shader, Stage};
+use super::walk::Walk;
 use crate::geom::Ray;
 use crate::trace::Hit;
 

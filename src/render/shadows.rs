@@ -2,8 +2,10 @@
 
 use glam::DVec3;
 
+use super::absorption::absorb;
 use super::counters::EffectCounters;
-use super::optics::absorb;
+use super::detail::query::SurfaceQuery;
+use super::detail::transmission_at;
 use super::query::RayQuery;
 use super::stage::Stage;
 use crate::error::TraceError;
@@ -123,10 +125,10 @@ impl ShadowBatch {
 
     /// `times`: when each sample is taken, if instances move. Answers all claims, adds what reaches `radiance`, and is empty again. Light too weak to be followed through more
     /// surfaces is added to `lost`, which may be empty where no surface is transparent.
-    pub fn resolve(
+    pub fn resolve<Q: RayQuery>(
         &mut self,
         stage: &Stage,
-        query: &mut impl RayQuery,
+        query: &mut SurfaceQuery<'_, Q>,
         times: &[f64],
         radiance: &mut [DVec3],
         lost: &mut [f64],
@@ -191,10 +193,10 @@ impl ShadowBatch {
 
     /// Takes every walker from surface to surface, in the order of (t, triangle id), until it is through or too weak.
     /// Light goes straight: refraction would bend it away from the lamp.
-    fn walk(
+    fn walk<Q: RayQuery>(
         &mut self,
         stage: &Stage,
-        query: &mut impl RayQuery,
+        query: &mut SurfaceQuery<'_, Q>,
         times: &[f64],
         counters: &mut EffectCounters,
     ) -> Result<(), TraceError> {
@@ -220,14 +222,17 @@ impl ShadowBatch {
             is_first = false;
             counters.shadow_segments += count as u64;
 
-            let (claims, walk_rays) = (&mut self.claims, &self.walk_rays);
-            let mut index = 0;
-            self.walkers.retain_mut(|walker| {
-                let (ray, hit) = (&walk_rays[index], hits[index]);
-                index += 1;
-                let Claim { contribution, lost, .. } = &mut claims[walker.claim as usize];
-                walker.meet(stage, ray, hit.as_ref(), contribution, lost, counters)
-            });
+            let mut left = 0;
+            for index in 0..count {
+                let mut walker = self.walkers[index];
+                let (ray, hit) = (&self.walk_rays[index], self.walk_hits[index]);
+                let Claim { contribution, lost, .. } = &mut self.claims[walker.claim as usize];
+                if walker.meet(stage, query, ray, hit.as_ref(), contribution, lost, counters)? {
+                    self.walkers[left] = walker;
+                    left += 1;
+                }
+            }
+            self.walkers.truncate(left);
         }
         Ok(())
     }
@@ -241,20 +246,25 @@ impl Walker {
 
     /// Takes it to what it meets next, if anything. False if it is through, or what is left of the `contribution` is too weak to be
     /// followed: it is lost then.
-    pub fn meet(
+    ///
+    /// # Errors
+    /// Those of the query, where a picture says how much passes.
+    #[expect(clippy::too_many_arguments, reason = "all belong to one claim")]
+    pub fn meet<Q: RayQuery>(
         &mut self,
         stage: &Stage,
+        query: &mut SurfaceQuery<'_, Q>,
         ray: &Ray,
         hit: Option<&Hit>,
         contribution: &mut DVec3,
         lost: &mut f64,
         counters: &mut EffectCounters,
-    ) -> bool {
+    ) -> Result<bool, TraceError> {
         let Some(hit) = hit else {
             *contribution *= self.transmittance;
-            return false;
+            return Ok(false);
         };
-        self.pass(stage, ray, hit, counters);
+        self.pass(stage, query, ray, hit, counters)?;
         let left = (*contribution * self.transmittance).max_element();
         // Roulette has decided before whether it is worth asking.
         let goes_on = left > if stage.roulette { 0.0 } else { stage.settings.contribution_bound };
@@ -263,16 +273,23 @@ impl Walker {
             *lost = left;
             *contribution = DVec3::ZERO;
         }
-        goes_on
+        Ok(goes_on)
     }
 
     /// Takes it through the surface at `hit` and through the inside that ends there.
-    fn pass(&mut self, stage: &Stage, ray: &Ray, hit: &Hit, counters: &mut EffectCounters) {
+    fn pass<Q: RayQuery>(
+        &mut self,
+        stage: &Stage,
+        query: &mut SurfaceQuery<'_, Q>,
+        ray: &Ray,
+        hit: &Hit,
+        counters: &mut EffectCounters,
+    ) -> Result<(), TraceError> {
         self.last = Some((hit.t, hit.triangle));
         // At an edge or a vertex every triangle there is hit, and the surface is crossed once.
-        let Some(sense) = RayFrame::new(ray).crossing(&hit.vertices) else { return };
+        let Some(sense) = RayFrame::new(ray).crossing(&hit.vertices) else { return Ok(()) };
         let shader = stage.shader(hit.material);
-        let mut share = DVec3::splat(shader.transmission_max);
+        let mut share = DVec3::splat(transmission_at(stage, query, hit)?);
         if sense == Sense::Exit && shader.absorption != DVec3::ZERO {
             counters.absorbed_segments += 1;
             let distance = (hit.t - self.crossed_t) * DVec3::from_array(ray.direction).length();
@@ -281,5 +298,6 @@ impl Walker {
         }
         self.transmittance *= share;
         self.crossed_t = hit.t;
+        Ok(())
     }
 }

@@ -38,7 +38,7 @@ pub(crate) struct Shader {
     pub exponent: Exponent,
     pub mirror: DVec3,
     pub transmission: f64,
-    /// The most that passes anywhere on the material; shadows are those of this.
+    /// The most that passes anywhere on the material.
     pub transmission_max: f64,
     pub absorption: DVec3,
     pub refractive_index: f64,

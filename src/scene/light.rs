@@ -269,14 +269,31 @@ impl Emitter {
                     return Incidence { toward: DVec3::ZERO, irradiance: DVec3::ZERO };
                 }
                 let toward = offset / squared.sqrt();
-                let mut irradiance = intensity;
-                if let Some(floor) = radius_squared {
-                    irradiance *= 1.0 / squared.max(floor);
-                }
-                if let Some(cone) = cone {
-                    irradiance *= cone.share(-toward);
-                }
+                let irradiance = weakened(intensity, radius_squared, cone.as_ref(), squared, toward);
                 Incidence { toward, irradiance }
+            }
+        }
+    }
+
+    /// [`Emitter::incidence`] on a surface with this unit normal, and the cosine between it and the light, if that is greater than 0. What
+    /// faces away is not asked further.
+    #[inline(always)]
+    pub(crate) fn incidence_facing(&self, point: DVec3, normal: DVec3) -> Option<(f64, Incidence)> {
+        match *self {
+            Emitter::Directional(incidence) => {
+                let cosine = incidence.toward.dot(normal);
+                (cosine > 0.0).then_some((cosine, incidence))
+            }
+            Emitter::Point { position, intensity, radius_squared, ref cone } => {
+                let offset = position - point;
+                let squared = offset.length_squared();
+                // At the light itself it is no number, and neither is the cosine.
+                let toward = offset / squared.sqrt();
+                let cosine = toward.dot(normal);
+                (cosine > 0.0).then(|| {
+                    let irradiance = weakened(intensity, radius_squared, cone.as_ref(), squared, toward);
+                    (cosine, Incidence { toward, irradiance })
+                })
             }
         }
     }
@@ -296,6 +313,25 @@ impl Emitter {
             }
         }
     }
+}
+
+/// What is left of a point's intensity at this squared distance in the direction opposite to `toward`.
+#[inline(always)]
+fn weakened(
+    intensity: DVec3,
+    radius_squared: Option<f64>,
+    cone: Option<&Cone>,
+    squared: f64,
+    toward: DVec3,
+) -> DVec3 {
+    let mut irradiance = intensity;
+    if let Some(floor) = radius_squared {
+        irradiance *= 1.0 / squared.max(floor);
+    }
+    if let Some(cone) = cone {
+        irradiance *= cone.share(-toward);
+    }
+    irradiance
 }
 
 #[cfg(test)]
@@ -376,5 +412,49 @@ mod tests {
             assert!(bad.validate().is_err(), "{bad:?}");
         }
         assert!(falloff(0.1).validate().is_ok());
+    }
+
+    #[test]
+    fn what_faces_a_light_gets_what_arrives_there() {
+        let lights = [
+            Light::directional([0.3, -3.0, 0.1], [1.0, 0.5, 0.25]),
+            Light::point([0.0, 2.0, 0.0], [1.0, 0.5, 0.0]),
+            Light::Point {
+                position: [0.5, 2.0, 0.0],
+                intensity: [8.0; 3],
+                falloff: Falloff::InverseSquare { radius: 1.0 },
+            },
+            Light::Spot {
+                position: [0.0, 2.0, 0.0],
+                direction: [0.1, -1.0, 0.0],
+                intensity: [1.0; 3],
+                inner_degrees: 10.0,
+                outer_degrees: 40.0,
+                falloff: Falloff::None,
+            },
+        ];
+        let normals =
+            [DVec3::Y, DVec3::NEG_Y, DVec3::X, DVec3::new(0.6, -0.8, 0.0), DVec3::new(0.0, 0.6, 0.8)];
+        let mut counts = [0; 2];
+        for emitter in lights.map(|light| light.emitter().unwrap()) {
+            for x in -4_i32..5 {
+                // One of the points is at the lights.
+                let point =
+                    DVec3::new(f64::from(x) * 0.5, 2.0, 0.0) - DVec3::Y * f64::from(x.abs() % 2) * 1.5;
+                for normal in normals {
+                    let plain = emitter.incidence(point);
+                    let cosine = plain.toward.dot(normal);
+                    let facing = emitter.incidence_facing(point, normal);
+                    counts[usize::from(facing.is_some())] += 1;
+                    assert_eq!(facing.is_some(), cosine > 0.0);
+                    if let Some((found, incidence)) = facing {
+                        assert_eq!(found.to_bits(), cosine.to_bits());
+                        assert_eq!(incidence.toward, plain.toward);
+                        assert_eq!(incidence.irradiance, plain.irradiance);
+                    }
+                }
+            }
+        }
+        assert!(counts.into_iter().min() > Some(20), "{counts:?}");
     }
 }

@@ -127,6 +127,25 @@ impl Detail {
     }
 }
 
+/// The share of light that passes straight through a hit, for shadows: the material's, unless a picture says that it is metal in places. Shadow rays have no width:
+/// the picture is looked up in its largest size.
+///
+/// # Errors
+/// Those of the query.
+pub(super) fn transmission_at<Q: RayQuery>(
+    stage: &Stage,
+    query: &mut SurfaceQuery<'_, Q>,
+    hit: &Hit,
+) -> Result<f64, TraceError> {
+    let (shader, maps) = (stage.shader(hit.material), stage.maps(hit.material));
+    if maps.metalness.is_none() || shader.transmission_max == 0.0 {
+        return Ok(shader.transmission_max);
+    }
+    let uv = query.attributes(hit)?.uvs.map(|uvs| interpolate(&uvs, hit));
+    let level = if uv.is_some() { 0.0 } else { f64::INFINITY };
+    Ok(local_terms(maps, query, shader, uv, |_| level)?.transmission)
+}
+
 /// The terms of a material at texture coordinates; `level` says in which size a picture is looked up. Where a triangle has no coordinates, colours are not looked up,
 /// and roughness and metalness are those of its smallest size, the mean: so they are between its least and its greatest number wherever a ray may go.
 fn local_terms<Q: RayQuery>(

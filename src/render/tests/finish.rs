@@ -126,6 +126,42 @@ fn a_part_of_a_picture_looks_as_its_numbers_where_nothing_is_cut() {
     }
 }
 
+/// Light that comes to the ground through a pane of which a half is gilt.
+#[test]
+fn shadows_of_a_pane_are_those_of_its_texels() {
+    let textures = picture(|x, _| [0, 0, if x < 32 { 255 } else { 0 }, 255]);
+    let settings = RenderSettings { contribution_bound: 0.0, ..RenderSettings::new(1, 1) };
+    for refractive_index in [1.0, 1.5] {
+        let pane = MaterialRecord { opacity: 0.25, refractive_index, roughness: 0.0, ..metal(0.7) };
+        let under = |x: f64, material: MaterialRecord| {
+            let mesh = Mesh::new([matt(0.6), material])
+                .sheet(0, [-5.0, -1.0, -5.0], [0.0, 0.0, 10.0], [10.0, 0.0, 0.0])
+                .card(1, [-2.0, 1.0, -2.0], [4.0, 0.0, 0.0], [0.0, 0.0, 4.0], 1.0);
+            // From between the two, at the ground.
+            let camera = Camera::pinhole([x, 0.5, 0.01], [x, -1.0, 0.0], [0.0, 0.0, 1.0], 1.0).unwrap();
+            let scene = Scene::new(camera)
+                .with_light(Light::directional([0.01, -1.0, 0.02], [0.5; 3]))
+                .with_textures(Arc::clone(&textures));
+            one_pixel(&mesh, &scene, &settings)
+        };
+        let metalness = || Some(ImageMap::new("finish"));
+        let pictured =
+            with_images(pane.clone(), MaterialImages { metalness: metalness(), ..MaterialImages::default() });
+        let mut seen = Vec::new();
+        for (x, metalness) in [(-1.0, 1.0), (1.0, 0.0)] {
+            let (by_numbers, _) = under(x, MaterialRecord { metalness, ..pane.clone() });
+            let (by_picture, counted) = under(x, pictured.clone());
+            assert_eq!(by_picture, by_numbers, "{x}");
+            let effects = &counted.totals.effects;
+            assert!(effects.finish_reads > 0 && effects.shadow_segments > 0, "{x}: {effects:?}");
+            seen.push(by_picture);
+        }
+        if refractive_index == 1.5 {
+            assert!(seen[0][0] < 0.1 * seen[1][0], "metal lets nothing through: {seen:?}");
+        }
+    }
+}
+
 /// As much of each as the texel says, of numbers that can be worked out by hand.
 #[test]
 fn metalness_mixes_by_texel() {

@@ -10,6 +10,7 @@ mod invariance;
 mod layers;
 mod lens;
 mod light_transport;
+mod lobes;
 mod media;
 mod octree;
 mod resample;

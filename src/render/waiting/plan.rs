@@ -162,7 +162,7 @@ impl WaitingPlan {
     }
 }
 
-/// Whether samples carry a [`Walk`](crate::render::bounce::Walk).
+/// Whether samples carry a [`Walk`](crate::render::walk::Walk).
 pub(super) fn has_walks(stage: &Stage) -> bool {
     matches!(stage.path_loop, Loop::Sampled | Loop::Detailed)
 }

@@ -4,8 +4,8 @@ use glam::DVec3;
 
 use super::places::{NONE, Places};
 use crate::geom::Ray;
-use crate::render::bounce::Walk;
 use crate::render::paths::{Head, Waiting};
+use crate::render::walk::Walk;
 use crate::trace::Hit;
 
 /// A sample on its way.

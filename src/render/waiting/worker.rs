@@ -88,7 +88,10 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
 
     /// Rays by effect so far.
     pub fn effects(&self) -> EffectCounters {
-        self.paths.counters
+        let mut counters = self.paths.counters;
+        // Of claims that went on since a batch was shaded.
+        counters.add_details(&self.paths.query.counters);
+        counters
     }
 
     /// Work of the queries so far.
@@ -365,7 +368,7 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
                 self.take_hit(place, hit)?;
             } else {
                 self.paths.counters.shadow_segments += 1;
-                self.walk_on(place, hit.as_ref());
+                self.walk_on(place, hit.as_ref())?;
             }
         }
         for (tag, occlusion) in answers.occlusions.drain(..) {
@@ -421,16 +424,18 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
     }
 
     /// What a claim meets on its way through surfaces.
-    fn walk_on(&mut self, claim: u32, hit: Option<&Hit>) {
+    fn walk_on(&mut self, claim: u32, hit: Option<&Hit>) -> Result<(), TraceError> {
         let asked = self.claims.get_mut(claim);
         let (place, ray) = (asked.sample, asked.ray);
-        let counters = &mut self.paths.counters;
-        if asked.walker.meet(self.stage, &ray, hit, &mut asked.contribution, &mut asked.lost, counters) {
+        let PathTracer { query, counters, .. } = &mut self.paths;
+        let (contribution, lost) = (&mut asked.contribution, &mut asked.lost);
+        if asked.walker.meet(self.stage, query, &ray, hit, contribution, lost, counters)? {
             let after = asked.walker.last;
             self.walks.push(ClosestRequest { ray, after, tag: CLAIM | u64::from(claim) });
         } else {
             self.answered(place);
         }
+        Ok(())
     }
 
     /// One answer less is to come.

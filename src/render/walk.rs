@@ -1,12 +1,11 @@
 //! What a path carries beside its ray where effects are sampled: the name of the vertex, how its direction came about, and
-//! the bodies it is inside of. Diffuse bounces, and the weights by which light found in two ways is counted once.
+//! the bodies it is inside of; and the weights by which light found in two ways is counted once.
 
 use glam::DVec3;
 
 use super::detail::Cone;
 use super::media::MediumStack;
 use super::random::{SampleKey, VertexId};
-use crate::scene::{cosine_direction, to_frame};
 
 /// The state of a path in a loop that samples effects.
 #[derive(Clone, Copy, Debug)]
@@ -57,14 +56,6 @@ pub(crate) fn share(own: f64, other: f64) -> f64 {
     // As a quotient the squares cannot overflow.
     let ratio = other / own;
     1.0 / (1.0 + ratio * ratio)
-}
-
-/// The direction of a diffuse bounce at a surface with this normal, and its density over solid angle, which the diffuse
-/// reflectance over pi times the cosine cancels. `None` for a direction in the surface.
-pub(crate) fn bounce(normal: DVec3, point: [f64; 2]) -> Option<(DVec3, f64)> {
-    let direction = to_frame(normal, cosine_direction(point));
-    let density = direction.dot(normal) / std::f64::consts::PI;
-    (density > 0.0).then_some((direction, density))
 }
 
 #[cfg(test)]

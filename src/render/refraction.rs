@@ -1,6 +1,9 @@
-//! Reflection, refraction and Fresnel's equations. Square roots only, so the same on every machine (I2).
+//! Transmission through clear media that bend light: Snell's law and Fresnel's equations. Square roots only, so the same on every machine (I2).
 
 use glam::DVec3;
+
+use super::stage::Shader;
+use super::ways::{Course, Ways};
 
 /// What a smooth border between two clear media does to a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,11 +12,6 @@ pub(crate) struct Split {
     pub reflectance: f64,
     /// Unit direction of the refracted ray; none for total internal reflection.
     pub refracted: Option<DVec3>,
-}
-
-/// The mirror direction: `direction` (unit) off a surface with unit `normal` on either side.
-pub(crate) fn reflect(direction: DVec3, normal: DVec3) -> DVec3 {
-    (direction - normal * (2.0 * direction.dot(normal))).normalize()
 }
 
 /// Snell's law and Fresnel's equations for unpolarised light. `normal` is unit and faces the ray; `eta` is the
@@ -36,13 +34,19 @@ pub(crate) fn split(direction: DVec3, normal: DVec3, eta: f64) -> Split {
     Split { reflectance, refracted: Some(refracted) }
 }
 
-/// What is left of light after `length` in a medium, per channel (Beer-Lambert).
-pub(crate) fn absorb(coefficients: DVec3, length: f64) -> DVec3 {
-    if coefficients == DVec3::ZERO {
-        return DVec3::ONE;
+impl Ways {
+    /// A ray along `direction` meets a border with this `facet` for its normal, and this `eta`: what goes through is bent, and a part of it mirrored.
+    pub fn refract(&mut self, shader: &Shader, direction: DVec3, facet: DVec3, eta: f64) {
+        let fresnel = split(direction, facet, eta);
+        self.reflection.weight += DVec3::splat(shader.transmission * fresnel.reflectance);
+        let through = &mut self.transmission;
+        through.weight = DVec3::splat(shader.transmission * (1.0 - fresnel.reflectance));
+        through.direction = fresnel.refracted;
+        through.course = Course::Lawful;
+        if fresnel.refracted.is_none() {
+            through.weight = DVec3::ZERO;
+        }
     }
-    let channel = |coefficient: f64| if coefficient == 0.0 { 1.0 } else { libm::exp(-coefficient * length) };
-    DVec3::new(channel(coefficients.x), channel(coefficients.y), channel(coefficients.z))
 }
 
 #[cfg(test)]
@@ -99,21 +103,5 @@ mod tests {
                 assert!((back.reflectance - inward.reflectance).abs() < 1e-6, "n {n} step {step}");
             }
         }
-    }
-
-    #[test]
-    fn reflection_keeps_the_angle() {
-        let out = reflect(incoming(35.0), DVec3::Z);
-        assert!((out - incoming(35.0) * DVec3::new(1.0, 1.0, -1.0)).length() < 1e-15);
-        assert_eq!(out, reflect(incoming(35.0), DVec3::NEG_Z));
-    }
-
-    #[test]
-    fn absorption_multiplies_along_the_way() {
-        let coefficients = DVec3::new(0.0, 0.5, 64.0);
-        let once = absorb(coefficients, 3.0);
-        assert_eq!(once.x, 1.0);
-        assert!((once.y - libm::exp(-1.5)).abs() < 1e-16);
-        assert!((absorb(coefficients, 6.0) - once * once).length() < 1e-15);
     }
 }
