@@ -31,6 +31,10 @@ pub struct TileId(pub u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct WorkerId(pub u64);
 
+/// A sub-coordinator of a cluster: one that hands out a part of the image to workers of its own. One that comes back after it was lost gets a new number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct SubCoordinatorId(pub u64);
+
 /// One hand-out of pixels to one worker. Never used twice in the life of a render, restarts of its coordinator included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LeaseId(pub u64);

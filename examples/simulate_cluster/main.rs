@@ -35,6 +35,7 @@ simulate_cluster: the real scheduler over measured costs and a model of network,
     --cell PIXELS     side of the smallest part that is handed out; a tile is 8 times as large (8)
     --samples N       samples per pixel: every cost times N (64)
     --workers LIST    numbers of workers (2,6,64,1024,10000)
+    --levels          only the tables of one and of two levels of coordinators
     --quick           a small setting that only shows that all of it runs
 ";
 
@@ -46,6 +47,7 @@ struct Options {
     cell: u32,
     samples: u32,
     workers: Vec<u32>,
+    only_levels: bool,
 }
 
 fn main() -> ExitCode {
@@ -60,6 +62,7 @@ fn parse(mut arguments: Arguments) -> Result<Option<Options>, Box<dyn Error>> {
         cell: 8,
         samples: 64,
         workers: vec![2, 6, 64, 1024, 10_000],
+        only_levels: false,
     };
     while let Some(name) = arguments.option()? {
         match name.as_str() {
@@ -71,9 +74,10 @@ fn parse(mut arguments: Arguments) -> Result<Option<Options>, Box<dyn Error>> {
             "--workers" => {
                 options.workers = arguments.number_list()?.iter().map(|count| *count as u32).collect();
             }
+            "--levels" => options.only_levels = true,
             "--quick" => {
-                options =
-                    Options { n: 1, size: 512, traced: 128, cell: 8, samples: 16, workers: vec![2, 6, 64] };
+                let workers = vec![2, 6, 64];
+                options = Options { n: 1, size: 512, traced: 128, cell: 8, samples: 16, workers, ..options };
             }
             "-h" | "--help" => return Ok(None),
             _ => return Err(arguments.unknown()),
@@ -104,9 +108,15 @@ fn run(arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
             options.size,
             options.samples
         );
-        tables::by_workers(&costs, &options.workers)?;
-        tables::ingredients(&costs, &options.workers)?;
+        if !options.only_levels {
+            tables::by_workers(&costs, &options.workers)?;
+            tables::ingredients(&costs, &options.workers)?;
+        }
         tables::relays(&costs, &options.workers)?;
+        tables::sub_coordinators(&costs, &options.workers)?;
+        if options.only_levels {
+            continue;
+        }
         drop(costs);
         tables::loads(&self::costs(scene, &options, AccessDetail::Sequence)?)?;
     }

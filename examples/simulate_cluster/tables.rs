@@ -3,20 +3,29 @@
 use std::error::Error;
 
 use outcrop::schedule::simulation::{
-    ClusterModel, CostImage, Relays, SimulationReport, sequential, simulate,
+    ClusterModel, CostImage, Relays, SecondLevel, SimulationReport, sequential, simulate, simulate_two_levels,
 };
 use outcrop::schedule::{CentralPoints, SchedulerOptions, TilePolicy};
 
 use crate::plain_scheduler::plain;
 
-/// A simulation; its figures must make sense, whatever they are.
+/// A simulation under one coordinator.
 fn run(
     costs: &CostImage,
     model: &ClusterModel,
     options: SchedulerOptions,
     workers: u32,
 ) -> Result<SimulationReport, Box<dyn Error>> {
-    let report = simulate(costs, model, options, workers)?;
+    check(costs, model, workers, simulate(costs, model, options, workers)?)
+}
+
+/// The figures of a simulation must make sense, whatever they are.
+fn check(
+    costs: &CostImage,
+    model: &ClusterModel,
+    workers: u32,
+    report: SimulationReport,
+) -> Result<SimulationReport, Box<dyn Error>> {
     assert_eq!(report.schedule.cells_done, report.schedule.cells, "every cell is done");
     let work: f64 = costs.total_seconds();
     let speeds: Vec<f64> = (0..workers).map(|worker| model.speed(worker)).collect();
@@ -133,7 +142,7 @@ pub fn ingredients(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dyn Err
     Ok(())
 }
 
-/// A second level between the coordinator and many workers.
+/// A second level that only gathers, between the coordinator and many workers.
 pub fn relays(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dyn Error>> {
     println!(
         "\n| workers | relays | seconds | efficiency % | coordinator busy % | messages | idle at start % | idle at end % |"
@@ -158,6 +167,43 @@ pub fn relays(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dyn Error>> 
                 report.messages,
                 percent(report.idle_at_start_seconds / all),
                 percent(report.idle_at_end_seconds / all)
+            );
+        }
+    }
+    Ok(())
+}
+
+/// A second level that decides.
+pub fn sub_coordinators(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dyn Error>> {
+    println!(
+        "\n| workers | sub-coordinators | seconds | efficiency % | of bound % | top busy % | busiest sub busy % | top's messages | loading % | idle at start % | idle at end % | done twice % |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
+    let model = ClusterModel::default();
+    for workers in workers.iter().copied().filter(|count| *count >= 64) {
+        let square_root = workers.isqrt();
+        for count in [0, square_root / 2, square_root, square_root * 2] {
+            let report = if count == 0 {
+                run(costs, &model, SchedulerOptions::new(workers), workers)?
+            } else {
+                let level = SecondLevel::new(count);
+                let options = SchedulerOptions::for_sub_coordinator(workers.div_ceil(count));
+                let report = simulate_two_levels(costs, &model, options, workers, &level)?;
+                check(costs, &model, workers, report)?
+            };
+            let all = f64::from(workers) * report.seconds;
+            println!(
+                "| {workers} | {count} | {:.2} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+                report.seconds,
+                percent(report.efficiency()),
+                percent(report.of_bound()),
+                percent(report.coordinator_load),
+                percent(report.sub_coordinator_load),
+                report.messages,
+                percent(report.load_seconds / all),
+                percent(report.idle_at_start_seconds / all),
+                percent(report.idle_at_end_seconds / all),
+                percent(report.wasted_seconds / all)
             );
         }
     }

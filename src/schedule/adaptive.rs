@@ -10,7 +10,8 @@ use super::estimates::{Estimates, nanos};
 use super::grid::{ImageGrid, TileCells};
 use super::ledger::{Lease, Ledger, Nanos};
 use super::options::{SchedulerOptions, TilePolicy};
-use super::policy::{CentralPolicy, CurvePolicy, Policy, RowsPolicy, View};
+use super::parts::{PartCells, PartRest};
+use super::policy::{CentralPolicy, CurvePolicy, Policy, RowsPolicy, View, first_cells};
 use super::scheduler::{
     Answer, Assignment, Notice, Receipt, ScheduleProgress, Spent, TileResult, TileScheduler,
 };
@@ -23,6 +24,11 @@ use crate::units::{LeaseId, TileId, WorkerId};
 pub struct AdaptiveScheduler {
     options: SchedulerOptions,
     ledger: Ledger,
+    /// Whether it is for parts of an image, and whether cells may still be granted.
+    is_part: bool,
+    is_open: bool,
+    /// Of a scheduler for parts: expected work of what was free when it was last reckoned, and how many cells that were.
+    free: (f64, u64),
     costs: CostMap,
     crew: Crew,
     policy: Box<dyn Policy>,
@@ -89,6 +95,9 @@ impl AdaptiveScheduler {
             costs: CostMap::new(ledger.grid()),
             options,
             ledger,
+            is_part: false,
+            is_open: false,
+            free: (0.0, 0),
             crew: Crew::default(),
             policy,
             waiting: BTreeSet::new(),
@@ -101,12 +110,153 @@ impl AdaptiveScheduler {
         }
     }
 
+    /// A scheduler for a part of an image, which is empty at first: it is [granted](AdaptiveScheduler::grant) cells and may be told
+    /// to [give some up](AdaptiveScheduler::give_up). Until it is told of the [end](AdaptiveScheduler::end), a worker for whom there is
+    /// nothing waits. Sizes in the options count for the part.
+    ///
+    /// # Errors
+    /// As for [`AdaptiveScheduler::new`].
+    pub fn for_parts(
+        width: u32,
+        height: u32,
+        options: SchedulerOptions,
+    ) -> Result<AdaptiveScheduler, ScheduleError> {
+        options.validate()?;
+        let grid = ImageGrid::new(width, height, options.tile_side, options.cell_side)?;
+        let start = AdaptiveScheduler::start(Ledger::empty(grid), options, 0);
+        Ok(AdaptiveScheduler { is_part: true, is_open: true, ..start })
+    }
+
+    /// Cells are to be done here from now on; cells that are the scheduler's already, or that the image does not have, are passed over.
+    pub fn grant(&mut self, cells: &[PartCells], now: Duration) {
+        self.advance(now);
+        let tile_count = self.ledger.grid().tile_count();
+        let exist = cells.iter().filter(|part| part.cells.tile.0 < tile_count);
+        let mut new: Vec<TileCells> = exist.clone().map(|part| self.ledger.add(part.cells)).collect();
+        for PartCells { cells, work } in exist.copied() {
+            // It counts as much as one cell that was done there.
+            let cell = work / f64::from(cells.count().max(1));
+            if cell.is_finite() && cell > 0.0 {
+                self.costs.record(self.ledger.grid(), TileCells { tile: cells.tile, cells: 1 }, cell);
+            }
+        }
+        new.retain(|cells| !cells.is_empty());
+        new.sort_by_key(|cells| cells.tile);
+        // Of each tile once.
+        new.dedup_by(|next, kept| {
+            let is_same = next.tile == kept.tile;
+            if is_same {
+                kept.cells |= next.cells;
+            }
+            is_same
+        });
+        self.policy.granted(&new, self.crew.len() as u32);
+        self.reckon_free(true);
+        let count: u64 = new.iter().map(|cells| u64::from(cells.count())).sum();
+        self.wake(u32::try_from(count).unwrap_or(u32::MAX));
+    }
+
+    /// Parts with cells that nobody has begun with: about this share, 0 to 1, of the work that is free, from the end of the curve. They are
+    /// not to be done here any more. In the order of the curve; at least one cell if one is free and the share is not 0.
+    pub fn give_up(&mut self, share: f64, now: Duration) -> Vec<TileCells> {
+        self.advance(now);
+        let mut left = share.clamp(0.0, 1.0) * self.free_work();
+        let takes_all = share >= 1.0;
+        let mut given = Vec::new();
+        let mut from = 0;
+        for tile in (0..self.ledger.grid().tile_count()).rev().map(TileId) {
+            let free = self.ledger.free(tile);
+            if free == 0 {
+                continue;
+            }
+            let is_enough = !takes_all && left <= 0.0 && (share <= 0.0 || !given.is_empty());
+            if self.ledger.cells_free() == 0 || is_enough {
+                break;
+            }
+            let cell = self.estimates().cell_work(tile);
+            // Cells that cost nothing go by the tile.
+            let wanted = if takes_all || cell <= 0.0 { 64.0 } else { (left / cell).ceil().max(1.0) };
+            let kept = free.count_ones().saturating_sub(wanted as u32);
+            let cells = free & !first_cells(free, kept, true);
+            left -= f64::from(cells.count_ones()) * cell;
+            from = u64::from(tile.0) * u64::from(self.ledger.grid().cells_per_tile())
+                + u64::from(cells.trailing_zeros());
+            self.ledger.remove(TileCells { tile, cells });
+            given.push(TileCells { tile, cells });
+            // Behind cells that stay, nothing is taken.
+            if kept > 0 {
+                break;
+            }
+        }
+        if !given.is_empty() {
+            self.policy.withdrawn(from);
+        }
+        given.reverse();
+        self.reckon_free(true);
+        given
+    }
+
+    /// Every cell of the image is done, here or elsewhere: nobody needs to go on.
+    pub fn end(&mut self, now: Duration) {
+        self.advance(now);
+        self.is_open = false;
+        for tile in (0..self.ledger.grid().tile_count()).map(TileId) {
+            let cells = self.ledger.part(tile) & !self.ledger.done(tile);
+            let (_, holders) = self.ledger.finish(TileCells { tile, cells });
+            holders.into_iter().for_each(|id| self.shorten(id));
+        }
+        self.wake(u32::MAX);
+    }
+
+    /// What is left to hand out.
+    pub fn rest(&self) -> PartRest {
+        let workers = self.crew.len() as u32;
+        let cells = self.ledger.cells_free();
+        let speed = self.estimates().mean_speed() * f64::from(workers);
+        // Speeds that are not known cannot be set against costs that others have told.
+        let is_known = self.ledger.cells_done() > 0 && self.costs.mean().is_some();
+        let (work, speed) = if is_known { (self.free_work(), speed) } else { (0.0, 0.0) };
+        PartRest { cells, cells_leased: self.ledger.cells_leased(), workers, work, speed }
+    }
+
+    /// Expected work of what is free, tile by tile, is reckoned anew where parts come and go (`changed`), and when an eighth of it is gone.
+    fn reckon_free(&mut self, changed: bool) {
+        let cells = self.ledger.cells_free();
+        let (_, at) = self.free;
+        if !self.is_part || !changed && cells.abs_diff(at) * 8 <= at {
+            return;
+        }
+        let tiles = (0..self.ledger.grid().tile_count()).map(TileId);
+        let free = tiles.map(|tile| (tile, self.ledger.free(tile))).filter(|(_, free)| *free != 0);
+        let estimates = self.estimates();
+        let work = free.map(|(tile, free)| f64::from(free.count_ones()) * estimates.cell_work(tile)).sum();
+        self.free = (work, cells);
+    }
+
+    /// Expected work of what is free, of a scheduler for parts.
+    fn free_work(&self) -> f64 {
+        let (work, at) = self.free;
+        work * self.ledger.cells_free() as f64 / at.max(1) as f64
+    }
+
+    /// What a cell of a tile is expected to cost; none if nothing is known.
+    pub(super) fn cost(&self, tile: TileId) -> Option<f64> {
+        self.costs.estimate(self.ledger.grid(), tile)
+    }
+
+    /// The cells of a tile that are to be done here, or were.
+    pub(super) fn part(&self, tile: TileId) -> u64 {
+        self.ledger.part(tile)
+    }
+
     fn advance(&mut self, now: Duration) {
         self.now = self.now.max(nanos(now));
     }
 
     fn estimates(&self) -> Estimates<'_> {
-        Estimates { options: &self.options, ledger: &self.ledger, costs: &self.costs, crew: &self.crew }
+        let free_work = self.is_part.then(|| self.free_work());
+        let AdaptiveScheduler { options, ledger, costs, crew, .. } = self;
+        Estimates { options, ledger, costs, crew, free_work }
     }
 
     /// When a worker's lease of some cells would begin, end, and run out.
@@ -263,20 +413,19 @@ impl TileScheduler for AdaptiveScheduler {
         self.advance(now);
         let slot = self.crew.slot(worker).ok_or(ScheduleError::UnknownWorker { worker: worker.0 })?;
         self.waiting.remove(&slot);
+        self.reckon_free(false);
         if self.is_finished() {
             return Ok(Answer::Done);
         }
         let holds = self.crew.get(slot).map_or(0, |worker| worker.leases.len());
         if holds < self.options.leases_in_hand_max as usize && self.ledger.cells_free() > 0 {
-            let estimates = Estimates {
-                options: &self.options,
-                ledger: &self.ledger,
-                costs: &self.costs,
-                crew: &self.crew,
-            };
+            let free_work = self.is_part.then(|| self.free_work());
+            let AdaptiveScheduler { options, ledger, costs, crew, policy, .. } = self;
+            let (ledger, costs) = (&*ledger, &*costs);
+            let estimates = Estimates { options, ledger, costs, crew, free_work };
             let cells_max = |tile| estimates.cells_max(slot, tile);
-            let view = View { ledger: &self.ledger, costs: &self.costs, slot, cells_max: &cells_max };
-            if let Some(cells) = self.policy.pick(&view) {
+            let view = View { ledger, costs, slot, cells_max: &cells_max };
+            if let Some(cells) = policy.pick(&view) {
                 return Ok(self.assign(slot, cells, false));
             }
         }
@@ -319,6 +468,8 @@ impl TileScheduler for AdaptiveScheduler {
         {
             self.close(result.lease);
         }
+        // The first result says what cells cost.
+        self.reckon_free(self.ledger.cells_done() == u64::from(fresh.count()));
         if let Some(slot) = slot {
             self.reckon(slot);
             // It may have asked while it held all that it may.
@@ -364,7 +515,7 @@ impl TileScheduler for AdaptiveScheduler {
     }
 
     fn is_finished(&self) -> bool {
-        self.ledger.cells_done() == self.ledger.cells()
+        !self.is_open && self.ledger.cells_done() == self.ledger.cells()
     }
 
     fn progress(&self) -> ScheduleProgress {
@@ -372,7 +523,7 @@ impl TileScheduler for AdaptiveScheduler {
         ScheduleProgress {
             cells,
             cells_done,
-            cells_leased: cells - cells_done - self.ledger.cells_free(),
+            cells_leased: self.ledger.cells_leased(),
             workers: self.crew.len() as u32,
             ..self.counts
         }

@@ -16,10 +16,12 @@ pub(super) struct Estimates<'a> {
     pub ledger: &'a Ledger,
     pub costs: &'a CostMap,
     pub crew: &'a Crew,
+    /// Work that nobody has begun with, where it is known better than by the mean.
+    pub free_work: Option<f64>,
 }
 
 impl Estimates<'_> {
-    fn mean_speed(&self) -> f64 {
+    pub fn mean_speed(&self) -> f64 {
         self.crew.mean_speed().unwrap_or(1.0)
     }
 
@@ -34,13 +36,17 @@ impl Estimates<'_> {
         self.mean_speed() * self.crew.len().max(1) as f64
     }
 
-    fn cell_work(&self, tile: TileId) -> f64 {
+    pub fn cell_work(&self, tile: TileId) -> f64 {
         self.costs.estimate(self.ledger.grid(), tile).unwrap_or(1.0)
     }
 
     /// Work that is not done yet, by the mean of what is.
     fn work_left(&self) -> f64 {
-        (self.ledger.cells() - self.ledger.cells_done()) as f64 * self.costs.mean().unwrap_or(1.0)
+        let mean = self.costs.mean().unwrap_or(1.0);
+        match self.free_work {
+            Some(free) => free + self.ledger.cells_leased() as f64 * mean,
+            None => (self.ledger.cells() - self.ledger.cells_done()) as f64 * mean,
+        }
     }
 
     /// Most cells of `tile` that a worker may get now.

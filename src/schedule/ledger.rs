@@ -36,13 +36,15 @@ impl Lease {
 
 #[derive(Clone, Debug)]
 struct Tile {
+    /// The cells that the books are about: all of the image's, or those of a part of it.
+    part: u64,
     done: u64,
     free: u64,
     holders: SmallVec<[LeaseId; 2]>,
 }
 
-/// The state of every cell. A cell of the image is done, or free, or on one lease or more (more than one only when
-/// raced), and never two of these.
+/// The state of every cell. A cell is done, or free, or on one lease or more (more than one only when
+/// raced), and never two of these. Where the books are about a part of the image only, other cells are none of them.
 pub(super) struct Ledger {
     grid: ImageGrid,
     tiles: Vec<Tile>,
@@ -66,7 +68,7 @@ impl Ledger {
                 let done = done.map_or(0, |done| done[tile as usize]) & exists;
                 cells += u64::from(exists.count_ones());
                 cells_done += u64::from(done.count_ones());
-                Tile { done, free: exists & !done, holders: SmallVec::new() }
+                Tile { part: exists, done, free: exists & !done, holders: SmallVec::new() }
             })
             .collect();
         Ledger {
@@ -79,6 +81,41 @@ impl Ledger {
             cells_done,
             cells_free: cells - cells_done,
         }
+    }
+
+    /// Books on no cell yet.
+    pub fn empty(grid: ImageGrid) -> Ledger {
+        let nothing = Tile { part: 0, done: 0, free: 0, holders: SmallVec::new() };
+        let tiles = vec![nothing; grid.tile_count() as usize];
+        let (leases, finishes, deadlines) = (HashMap::new(), BTreeSet::new(), BTreeSet::new());
+        Ledger { grid, tiles, leases, finishes, deadlines, cells: 0, cells_done: 0, cells_free: 0 }
+    }
+
+    /// Takes cells into the books; those that were not there before are free, and are returned.
+    pub fn add(&mut self, cells: TileCells) -> TileCells {
+        let new = cells.cells & self.grid.cells_of(cells.tile);
+        let tile = &mut self.tiles[cells.tile.0 as usize];
+        let new = new & !tile.part;
+        tile.part |= new;
+        tile.free |= new;
+        self.cells += u64::from(new.count_ones());
+        self.cells_free += u64::from(new.count_ones());
+        TileCells { tile: cells.tile, cells: new }
+    }
+
+    /// Takes free cells off the books.
+    pub fn remove(&mut self, cells: TileCells) {
+        let tile = &mut self.tiles[cells.tile.0 as usize];
+        let gone = cells.cells & tile.free;
+        tile.part &= !gone;
+        tile.free &= !gone;
+        self.cells -= u64::from(gone.count_ones());
+        self.cells_free -= u64::from(gone.count_ones());
+    }
+
+    /// The cells of a tile that the books are about.
+    pub fn part(&self, tile: TileId) -> u64 {
+        self.tiles.get(tile.0 as usize).map_or(0, |tile| tile.part)
     }
 
     pub fn grid(&self) -> &ImageGrid {
@@ -95,6 +132,10 @@ impl Ledger {
 
     pub fn cells_free(&self) -> u64 {
         self.cells_free
+    }
+
+    pub fn cells_leased(&self) -> u64 {
+        self.cells - self.cells_done - self.cells_free
     }
 
     /// Free cells of a tile; none if the tile does not exist.
@@ -171,6 +212,7 @@ impl Ledger {
     /// Enters cells as done: those that were not done before, and the leases that they were on, which may have nothing left now.
     pub fn finish(&mut self, cells: TileCells) -> (TileCells, SmallVec<[LeaseId; 2]>) {
         let tile = &mut self.tiles[cells.tile.0 as usize];
+        let cells = TileCells { tile: cells.tile, cells: cells.cells & tile.part };
         let fresh = cells.cells & !tile.done;
         let were_free = cells.cells & tile.free;
         tile.done |= fresh;
@@ -214,7 +256,7 @@ impl Ledger {
             let sets = [tile.done, tile.free, leased];
             let union = sets.iter().fold(0, |union, set| union | set);
             let sum: u32 = sets.iter().map(|set| set.count_ones()).sum();
-            if union != self.grid.cells_of(id) || sum != union.count_ones() {
+            if union != tile.part || union & !self.grid.cells_of(id) != 0 || sum != union.count_ones() {
                 return Err(format!("{id:?}: done {:x} free {:x} leased {:x}", sets[0], sets[1], sets[2]));
             }
             done += u64::from(tile.done.count_ones());

@@ -6,6 +6,9 @@
 //! policies of "Rendering complex scenes on clusters with limited precomputation" (Cadet, Zambal, Lecussan 2004) to the default.
 //! [`simulation`] runs it over measured costs and a model of machines, network, disks and caches.
 //!
+//! For more workers than one coordinator can serve there are two levels ([`parts`]): a [`PartScheduler`] gives large parts of the image to
+//! sub-coordinators, and the [`SubScheduler`] of each hands out its part to workers of its own.
+//!
 //! The image is cut into tiles and tiles into cells ([`ImageGrid`]). What is handed out, returned and remembered is a set of cells of one
 //! tile ([`TileCells`]), so a partial tile is nothing special, and a result says itself what it is good for.
 //!
@@ -23,6 +26,7 @@ mod estimates;
 mod grid;
 mod ledger;
 mod options;
+pub mod parts;
 mod policy;
 mod scheduler;
 pub mod simulation;
@@ -32,6 +36,7 @@ pub use adaptive::AdaptiveScheduler;
 pub use checkpoint::ScheduleCheckpoint;
 pub use grid::{ImageGrid, Region, TileCells};
 pub use options::{CentralPoints, SchedulerOptions, TilePolicy};
+pub use parts::{PartScheduler, SubScheduler};
 pub use scheduler::{
     Answer, Assignment, Notice, Receipt, ScheduleProgress, Spent, TileResult, TileScheduler,
 };

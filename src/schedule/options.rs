@@ -93,6 +93,12 @@ impl SchedulerOptions {
         }
     }
 
+    /// The defaults for the workers of one [sub-coordinator](super::SubScheduler): so many of its own. First hand-outs are smaller, since what is in hand cannot
+    /// be given to other sub-coordinators when it turns out to be dear.
+    pub fn for_sub_coordinator(expected_workers: u32) -> SchedulerOptions {
+        SchedulerOptions { tiles_per_worker: 60, ..SchedulerOptions::new(expected_workers) }
+    }
+
     /// Checks every field that does not depend on the image.
     ///
     /// # Errors

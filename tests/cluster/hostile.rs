@@ -8,7 +8,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use outcrop::MemoryBudget;
-use outcrop::cluster::{Coordinator, LeasedCells, Message, Role, run_coordinator, run_worker};
+use outcrop::cluster::{
+    Coordinator, LeasedCells, MESSAGE_VERSION, Message, Role, run_coordinator, run_worker,
+};
 use outcrop::compile::Control;
 use outcrop::error::TransportError;
 use outcrop::transport::{SharedKey, TcpOptions, TcpTransport, Transport, TransportEvent};
@@ -174,10 +176,66 @@ fn a_recording_is_refused() {
     assert!(!refusal(&node).is_empty());
 }
 
+/// Carries what a peer sends on to `address`, but no more than `bytes` of it; then the line is as good as dead, and open.
+fn stalling_relay(address: String, bytes: usize) -> String {
+    let relay = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let relay_address = relay.local_addr().unwrap().to_string();
+    thread::spawn(move || {
+        let (mut peer, _) = relay.accept().unwrap();
+        let mut node = TcpStream::connect(address).unwrap();
+        let (mut back, mut from_node) = (peer.try_clone().unwrap(), node.try_clone().unwrap());
+        thread::spawn(move || std::io::copy(&mut from_node, &mut back));
+        let (mut left, mut buffer) = (bytes, [0; 1000]);
+        while let Ok(count @ 1..) = peer.read(&mut buffer) {
+            let passed = count.min(left);
+            left -= passed;
+            let _ = node.write_all(&buffer[..passed]);
+        }
+    });
+    relay_address
+}
+
+/// Those who hold the key are bounded, too: in the length of a frame, and in its time.
+#[test]
+fn frames_of_members_are_bounded() {
+    let key = SharedKey::generate().unwrap();
+    let frame_time_max = Duration::from_millis(500);
+    let node =
+        tcp(&key, TcpOptions { frame_bytes_max: 100_000, frame_time_max, ..TcpOptions::loopback("node") });
+    let next = || node.receive(Duration::from_secs(30)).unwrap();
+    let long = tcp(&key, TcpOptions::connecting("long"));
+    let peer = long.connect(&node.address().unwrap()).unwrap();
+    assert!(matches!(next(), Some(TransportEvent::Connected { .. })));
+    long.send(peer, vec![1; 100_000]).unwrap();
+    assert!(matches!(next(), Some(TransportEvent::Frame { bytes, .. }) if bytes == vec![1; 100_000]));
+    // Silence between frames is no fault.
+    thread::sleep(2 * frame_time_max);
+    long.send(peer, vec![1; 100_001]).unwrap();
+    match next() {
+        Some(TransportEvent::Disconnected { reason, .. }) => {
+            assert!(reason.contains("more than 100000 bytes"))
+        }
+        other => panic!("{other:?}"),
+    }
+    // The first record of the frame comes whole, the second one never.
+    let slow = tcp(&key, TcpOptions::connecting("slow"));
+    let peer = slow.connect(&stalling_relay(node.address().unwrap(), 80_000)).unwrap();
+    assert!(matches!(next(), Some(TransportEvent::Connected { .. })));
+    let start = Instant::now();
+    slow.send(peer, vec![2; 90_000]).unwrap();
+    match next() {
+        Some(TransportEvent::Disconnected { reason, .. }) => {
+            assert!(reason.contains("took too long"), "{reason}")
+        }
+        other => panic!("{other:?}"),
+    }
+    assert!(start.elapsed() >= frame_time_max);
+}
+
 /// What somebody who holds the key can do by mistake, or a broken program.
 fn bad_members(key: &SharedKey, address: &str) -> u32 {
     let hello = Message::Hello {
-        version: 1,
+        version: MESSAGE_VERSION,
         role: Role::Worker { lanes: 1 },
         name: "bad".to_owned(),
         address: None,
@@ -271,5 +329,10 @@ fn a_render_does_not_notice_them() {
         let refused = done.counters().refused;
         assert!(refused >= u64::from(attack.join().unwrap()) + 4, "{refused}");
         assert!(lines.iter().filter(|line| line.starts_with("refused")).count() >= 4, "{lines:#?}");
+        // Each for what it did: one by its version, the others got beyond that.
+        let told = |reason: &str| lines.iter().filter(|line| line.contains(reason)).count();
+        assert_eq!(told("it speaks version 99"), 1, "{lines:#?}");
+        assert_eq!(told("it has no such lane"), 1, "{lines:#?}");
+        assert_eq!(told("joins as a worker"), 8, "{lines:#?}");
     });
 }

@@ -165,6 +165,15 @@ impl CurvePolicy {
         }
     }
 
+    /// A piece that nobody has, unless it is empty.
+    fn add_orphan(&mut self, piece: Piece) {
+        if !piece.is_empty() {
+            let number = self.new_piece();
+            self.pieces[number as usize] = piece;
+            self.orphans.insert(number);
+        }
+    }
+
     fn new_piece(&mut self) -> u32 {
         self.unused.pop().unwrap_or_else(|| {
             self.pieces.push(Piece::EMPTY);
@@ -224,6 +233,50 @@ impl Policy for CurvePolicy {
     fn freed(&mut self, cells: TileCells) {
         if !cells.is_empty() {
             self.returned.insert(cells.tile);
+        }
+    }
+
+    /// Cut into pieces of equal numbers of cells, one for each worker; a piece ends before a gap.
+    fn granted(&mut self, cells: &[TileCells], workers: u32) {
+        let total: u64 = cells.iter().map(|cells| u64::from(cells.count())).sum();
+        let length = total.div_ceil(u64::from(workers.max(1))).max(1);
+        let mut open = Piece::EMPTY;
+        let mut held = 0;
+        for TileCells { tile, cells } in cells.iter().copied() {
+            let first = u64::from(tile.0) * self.cells_per_tile;
+            let mut left = cells;
+            while left != 0 {
+                let number = first + u64::from(left.trailing_zeros());
+                left &= left - 1;
+                if held == length || number > open.end {
+                    self.add_orphan(open);
+                    (open, held) = (Piece { next: number, end: number, rank: 0 }, 0);
+                }
+                open.end = number + 1;
+                held += 1;
+            }
+        }
+        self.add_orphan(open);
+    }
+
+    fn withdrawn(&mut self, from: u64) {
+        for number in 0..self.pieces.len() as u32 {
+            let piece = self.pieces[number as usize];
+            if piece.is_empty() || piece.end <= from {
+                continue;
+            }
+            let end = from.max(piece.next);
+            let part = (end - piece.next) as f64 / (piece.end - piece.next) as f64;
+            let rank = (f64::from_bits(piece.rank) * part).to_bits();
+            self.pieces[number as usize] = Piece { next: piece.next, end, rank };
+            let is_empty = end == piece.next;
+            if self.owned.remove(&(piece.rank, number)) {
+                if !is_empty {
+                    self.owned.insert((rank, number));
+                }
+            } else if is_empty && self.orphans.remove(&number) {
+                self.unused.push(number);
+            }
         }
     }
 }

@@ -46,6 +46,17 @@ pub(in crate::schedule) trait Policy: Send {
 
     /// Cells that were taken are free again.
     fn freed(&mut self, cells: TileCells);
+
+    /// Cells have come to the image's part, each tile once, in the order of the curve; they are free. So many workers take part.
+    fn granted(&mut self, cells: &[TileCells], workers: u32) {
+        let _ = workers;
+        cells.iter().for_each(|cells| self.freed(*cells));
+    }
+
+    /// Of the cells from this number on (`tile * cells_per_tile + cell`), none is free any more: others do them.
+    fn withdrawn(&mut self, from: u64) {
+        let _ = from;
+    }
 }
 
 /// The first squares of `free` that come to no more than `cells_max` cells, or the first cells if `anywhere`.

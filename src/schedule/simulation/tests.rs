@@ -143,6 +143,53 @@ fn relays_gather_messages() {
     assert!((tree.render_seconds - flat.render_seconds).abs() < 1e-4);
 }
 
+fn two_levels(
+    costs: &CostImage,
+    model: &ClusterModel,
+    workers: u32,
+    level: &SecondLevel,
+) -> SimulationReport {
+    let options = SchedulerOptions::for_sub_coordinator(workers / level.parts.expected);
+    simulate_two_levels(costs, model, options, workers, level).unwrap()
+}
+
+/// With so many workers one coordinator is busy all the time; under sub-coordinators the picture takes half as long, and the top has a tenth of the messages.
+#[test]
+fn sub_coordinators_take_the_load() {
+    let costs = hill(1024, 20e-3);
+    let flat = simulate(&costs, &ClusterModel::default(), SchedulerOptions::new(2500), 2500).unwrap();
+    let tree = two_levels(&costs, &ClusterModel::default(), 2500, &SecondLevel::new(50));
+    assert_eq!(tree.schedule.cells_done, tree.schedule.cells);
+    assert!((tree.render_seconds - costs.total_seconds()).abs() < 1e-3, "{tree:?}");
+    let spent = tree.render_seconds + tree.load_seconds + tree.wasted_seconds;
+    assert!(spent <= 2500.0 * tree.seconds * (1.0 + 1e-9) && tree.of_bound() <= 1.0);
+    assert!(tree.coordinator_load < 0.5 && tree.sub_coordinator_load < 0.9, "{tree:?}");
+    assert!(tree.messages < flat.messages / 10, "{} of {}", tree.messages, flat.messages);
+    assert!(tree.seconds < flat.seconds / 2.0, "{} of {}", tree.seconds, flat.seconds);
+    assert_eq!(two_levels(&costs, &ClusterModel::default(), 2500, &SecondLevel::new(50)), tree);
+}
+
+/// One sub-coordinator of four is gone for half of the time, and its workers for as long as that is not noticed.
+#[test]
+fn a_lost_sub_coordinator_costs_little_and_no_pixel() {
+    let costs = hill(512, 100e-3);
+    let whole = two_levels(&costs, &ClusterModel::default(), 64, &SecondLevel::new(4));
+    let losses = vec![(whole.seconds / 2.0, 1)];
+    let model = ClusterModel {
+        losses: vec![(whole.seconds / 3.0, 60)],
+        loss_noticed_seconds: 0.2,
+        ..ClusterModel::default()
+    };
+    let lossy = two_levels(&costs, &model, 64, &SecondLevel { losses, ..SecondLevel::new(4) });
+    assert_eq!((lossy.schedule.cells_done, lossy.schedule.workers), (lossy.schedule.cells, 63));
+    assert!((lossy.render_seconds - costs.total_seconds()).abs() < 1e-3, "{lossy:?}");
+    assert!(lossy.seconds < whole.seconds * 1.25, "{} for {}", lossy.seconds, whole.seconds);
+    let all = SecondLevel { losses: (0..4).map(|sub| (0.1, sub)).collect(), ..SecondLevel::new(4) };
+    let options = SchedulerOptions::for_sub_coordinator(16);
+    let error = simulate_two_levels(&costs, &model, options, 64, &all);
+    assert!(matches!(error, Err(ScheduleError::Option { .. })));
+}
+
 #[test]
 fn an_image_in_other_tiles_costs_the_same() {
     // Tiles at the border hold fewer cells.

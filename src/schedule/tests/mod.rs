@@ -1,5 +1,6 @@
 //! Any order of results, losses, joins and late answers: every cell is done once, none is lost, the render ends.
 
+mod parts;
 mod world;
 
 use std::time::Duration;
