@@ -413,10 +413,11 @@ impl<'p> Compiler<'p> {
         // Two triangles per vertex, if it is not known yet how many there are.
         let expected = self.triangles.max(2 * self.store.len() as u64);
         let share = self.budget.limit().0 / 12;
-        // Vertices that are not all in memory do with little of it. Where buckets are many and their buffers small, the list of chunks would not
-        // find room otherwise.
-        let needed_now = scatter::bytes_needed(&map, share, expected) + SPILL_BUFFERS;
-        self.store.leave(needed_now.max(headroom(&self.budget)));
+        // Vertices that are not all in memory do with little of it if faces are in any order. Where buckets are many and their buffers small, the
+        // list of chunks would not find room otherwise.
+        let [buffers, list] = scatter::bytes_needed(&map, share, expected);
+        let needed_now = (buffers + list + SPILL_BUFFERS).min(self.budget.limit().0 / 2);
+        self.store.leave(needed_now);
         let needed_later = needed_later + Output::directory_bytes(expected / TRIANGLES_PER_BLOCK);
         let headroom = (1 << 20) + needed_later.saturating_sub(self.store.memory_bytes() + GRID_BYTES);
         let skip = self.options.skip_not_finite;
@@ -441,7 +442,8 @@ impl<'p> Compiler<'p> {
         }
         // The spill must not take what gathering may come to need.
         let scatter = make(&self.place, share, 1)?;
-        Ok(Placer::own(scatter, self.budget.clone(), SPILL_BUFFERS))
+        let headroom = SPILL_BUFFERS + list.min(self.budget.limit().0 / 8);
+        Ok(Placer::own(scatter, self.budget.clone(), headroom))
     }
 
     /// The vertices, whoever reads them.

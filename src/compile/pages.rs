@@ -104,7 +104,8 @@ impl<T: Pod> Pages<T> {
         }
     }
 
-    /// Gives back as much memory as is missing for `headroom` bytes of the budget to be free. Only once there is a spill, and not the least that works.
+    /// Gives back as much memory as is missing for `headroom` bytes of the budget to be free, in whole areas. Only once there is a spill, and not the least
+    /// that works.
     pub(super) fn leave(&mut self, headroom: u64) {
         let missing = headroom.saturating_sub(self.place.budget.available().0);
         if missing == 0 || self.spill.is_none() {
@@ -302,7 +303,7 @@ mod tests {
     #[test]
     fn what_others_need_is_given_back_and_nothing_is_lost() {
         let page_bytes = (PAGE_ITEMS * size_of::<[f32; 3]>()) as u64;
-        // The last page is only begun; it may be in any frame.
+        // The last page is not full; it may be in any frame.
         for pages in [100_u32, 171, 200, 231, 260] {
             for free_pages in [10, 40, 90, 1000] {
                 let budget = MemoryBudget::new(Bytes(100 * page_bytes + (4 << 20)));
@@ -327,13 +328,17 @@ mod tests {
                     list.is_resident() || free_pages < 40 || list.memory_bytes() < held,
                     "{pages} {free_pages}"
                 );
-                list.extend(&[count, count + 1], |index| [index as f32, -1.0, 0.5]).unwrap();
-                // Every page, in an order that is not theirs, and some twice.
+                // To the end of the page that is not full, and into the next.
+                let more: Vec<u32> = (count..count + 150).collect();
+                list.extend(&more, |index| [index as f32, -1.0, 0.5]).unwrap();
+                // Every page, in an order that is not theirs, three times.
                 for step in 0..3 * pages {
-                    let index = (step * 37 % pages * PAGE_ITEMS as u32 + step * 101).min(count);
+                    let index = (step * 37 % pages * PAGE_ITEMS as u32 + step * 101 % 4096).min(count);
                     assert_eq!(list.get(index).unwrap()[0], index as f32);
                 }
-                assert_eq!(list.get(count + 1).unwrap()[0], (count + 1) as f32);
+                for index in more {
+                    assert_eq!(list.get(index).unwrap()[0], index as f32);
+                }
             }
         }
     }

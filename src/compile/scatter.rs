@@ -101,10 +101,11 @@ fn list_bytes(count: usize, capacity: usize, triangles: u64) -> u64 {
     ChunkRecords::bytes_for(triangles / capacity as u64 + count as u64)
 }
 
-/// What a [`Scatter`] of so many triangles needs of the budget, its spill apart, if its buffers may take `share` bytes.
-pub(super) fn bytes_needed(map: &BucketMap, share: u64, triangles: u64) -> u64 {
+/// What a [`Scatter`] of so many triangles needs of the budget, its spill apart, if its buffers may take `share` bytes: for them, and for
+/// the list of chunks.
+pub(super) fn bytes_needed(map: &BucketMap, share: u64, triangles: u64) -> [u64; 2] {
     let capacity = capacity_for(map.count(), share);
-    buffer_bytes(map.count(), capacity) as u64 + list_bytes(map.count(), capacity, triangles)
+    [buffer_bytes(map.count(), capacity) as u64, list_bytes(map.count(), capacity, triangles)]
 }
 
 impl<P: Point> Scatter<P> {

@@ -19,6 +19,9 @@ impl<Q: RayQuery> PathTracer<'_, Q> {
         self.radiance.clear();
         self.lost.clear();
         self.times.clear();
+        // Of samples that an error ended.
+        self.shadows.forget();
+        self.forced.clear();
         let stage = self.stage;
         if stage.has_middle_rays() {
             self.rays.extend(samples.map(|PixelSample { x, y, .. }| stage.middle_ray(x, y)));

@@ -99,6 +99,13 @@ impl ShadowBatch {
         capacity * (claim + if with_walks { walk } else { 0 })
     }
 
+    /// Gives up what was not answered.
+    pub fn forget(&mut self) {
+        self.rays.clear();
+        self.claims.clear();
+        self.walkers.clear();
+    }
+
     pub fn is_full(&self) -> bool {
         self.claims.len() == self.capacity
     }

@@ -33,7 +33,8 @@ pub(super) struct Way {
     pub kind: Kind,
     /// What a ray along it carries is this times what the path carries.
     pub weight: DVec3,
-    /// Unit. None: nothing goes this way, unless it is that of reflection, which is then the mirror's and worked out if it is followed.
+    /// Unit. None: that of a smooth mirror, for reflection, which is worked out if it is followed; for others nothing goes this way, and what is forced goes on
+    /// any.
     pub direction: Option<DVec3>,
     pub course: Course,
 }

@@ -287,10 +287,10 @@ impl Emitter {
             Emitter::Point { position, intensity, radius_squared, ref cone } => {
                 let offset = position - point;
                 let squared = offset.length_squared();
-                // At the light itself it is no number, and neither is the cosine.
                 let toward = offset / squared.sqrt();
                 let cosine = toward.dot(normal);
-                (cosine > 0.0).then(|| {
+                // At the light itself, or so near that squares vanish, neither is a number to be used.
+                (cosine > 0.0 && squared > 0.0).then(|| {
                     let irradiance = weakened(intensity, radius_squared, cone.as_ref(), squared, toward);
                     (cosine, Incidence { toward, irradiance })
                 })
@@ -438,9 +438,10 @@ mod tests {
         let mut counts = [0; 2];
         for emitter in lights.map(|light| light.emitter().unwrap()) {
             for x in -4_i32..5 {
-                // One of the points is at the lights.
+                // One of the points is at the lights, and one so near that squares vanish.
+                let near = if x == 4 { DVec3::new(-2.0, 0.0, 1e-200) } else { DVec3::ZERO };
                 let point =
-                    DVec3::new(f64::from(x) * 0.5, 2.0, 0.0) - DVec3::Y * f64::from(x.abs() % 2) * 1.5;
+                    near + DVec3::new(f64::from(x) * 0.5, 2.0, 0.0) - DVec3::Y * f64::from(x.abs() % 2) * 1.5;
                 for normal in normals {
                     let plain = emitter.incidence(point);
                     let cosine = plain.toward.dot(normal);

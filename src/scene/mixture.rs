@@ -180,12 +180,22 @@ impl Mixture {
         Look { diffuse: DVec3::ONE, specular: DVec3::ONE, metalness, roughness }
     }
 
+    /// Whether what passes depends on how much is metal.
+    pub fn transmits_by_metalness(&self) -> bool {
+        self.refracts && self.transmission > 0.0
+    }
+
+    /// The share of light that passes where so much is metal.
+    pub fn transmission_at(&self, metalness: f64) -> f64 {
+        if self.refracts { self.transmission * (1.0 - metalness) } else { self.transmission }
+    }
+
     /// The terms at a place.
     pub fn at(&self, look: &Look) -> Terms {
         let Look { diffuse, specular, metalness, roughness } = *look;
         let rest = 1.0 - metalness;
         let mirror = self.mirror * specular * rest;
-        let transmission = if self.refracts { self.transmission * rest } else { self.transmission };
+        let transmission = self.transmission_at(metalness);
         let (is_mirror, is_glass) = (mirror != DVec3::ZERO, self.refracts && transmission > 0.0);
         let reflected = mirror + self.metal * diffuse * metalness;
         let is_rough = self.has_lobes && (reflected != DVec3::ZERO || is_glass);

@@ -1,7 +1,7 @@
 //! What a hit looks like beyond its triangle and its material: the part of shading that reads attributes of corners and pictures.
 //!
-//! Only the *Detailed* path loop comes here ([`super::hot`]), and only for materials that show a difference. Cut-outs are decided
-//! before, in [`query`].
+//! Only the *Detailed* path loop comes here ([`super::hot`]), and only for materials that show a difference; and shadow rays of any loop that pass what is metal in
+//! places. Cut-outs are decided before, in [`query`].
 
 mod bump;
 pub(super) mod forced;
@@ -138,12 +138,24 @@ pub(super) fn transmission_at<Q: RayQuery>(
     hit: &Hit,
 ) -> Result<f64, TraceError> {
     let (shader, maps) = (stage.shader(hit.material), stage.maps(hit.material));
-    if maps.metalness.is_none() || shader.transmission_max == 0.0 {
+    let (Some(mixture), Some(map)) = (&maps.mixture, &maps.metalness) else {
+        return Ok(shader.transmission_max);
+    };
+    if shader.transmission_max == 0.0 || !mixture.transmits_by_metalness() {
         return Ok(shader.transmission_max);
     }
     let uv = query.attributes(hit)?.uvs.map(|uvs| interpolate(&uvs, hit));
+    query.counters.finish_reads += 1;
     let level = if uv.is_some() { 0.0 } else { f64::INFINITY };
-    Ok(local_terms(maps, query, shader, uv, |_| level)?.transmission)
+    let texel = query.look_up(map, uv.unwrap_or_default(), level)?;
+    let share = share(Some(texel), METALNESS_CHANNEL, maps.variation.metalness);
+    Ok(mixture.transmission_at(mixture.metalness * share))
+}
+
+/// What a lookup says, within what bounds on light were told, whatever is in a file; all of the factor without one.
+fn share(numbers: Option<[f64; 4]>, channel: usize, range: Option<[f64; 2]>) -> f64 {
+    let [least, most] = range.unwrap_or([0.0, 1.0]);
+    numbers.map_or(1.0, |numbers| numbers[channel].max(least).min(most))
 }
 
 /// The terms of a material at texture coordinates; `level` says in which size a picture is looked up. Where a triangle has no coordinates, colours are not looked up,
@@ -183,11 +195,6 @@ fn local_terms<Q: RayQuery>(
         // glTF has both in one image.
         both if *both == maps.roughness => roughness,
         other => other.as_ref().map(&mut numbers).transpose()?,
-    };
-    // Within what bounds on light were told, whatever is in a file.
-    let share = |numbers: Option<[f64; 4]>, channel: usize, range: Option<[f64; 2]>| {
-        let [least, most] = range.unwrap_or([0.0, 1.0]);
-        numbers.map_or(1.0, |numbers| numbers[channel].max(least).min(most))
     };
     let Variation { metalness: metal, roughness: rough } = maps.variation;
     local.mix(&mixture.at(&Look {

@@ -153,7 +153,9 @@ fn shadows_of_a_pane_are_those_of_its_texels() {
             let (by_picture, counted) = under(x, pictured.clone());
             assert_eq!(by_picture, by_numbers, "{x}");
             let effects = &counted.totals.effects;
-            assert!(effects.finish_reads > 0 && effects.shadow_segments > 0, "{x}: {effects:?}");
+            assert!(effects.shadow_segments > 0, "{x}: {effects:?}");
+            // What does not refract passes as much where it is metal.
+            assert_eq!(effects.finish_reads > 0, refractive_index != 1.0, "{x}: {effects:?}");
             seen.push(by_picture);
         }
         if refractive_index == 1.5 {
