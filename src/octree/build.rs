@@ -1,7 +1,7 @@
 //! Builds trees of 8-wide nodes: the fine tree of a block into its slot, and the coarse tree over all blocks.
 //!
 //! A fine node splits its primitives at one point into octants, by planes where the surface area heuristic puts them, on
-//! the axes where that gains at least 0.8 of what the best axis gains; each primitive goes to exactly one octant by its
+//! the axes where that gains at least 0.9 of what the best axis gains; each primitive goes to exactly one octant by its
 //! centre, and the octants' boxes are tight. Then the largest octants (by surface area) are split again while lanes are
 //! free. Where no plane separates the centres, primitives are split by their order. The coarse tree, which every ray
 //! passes, is built once and so with more care: by one plane at a time.
@@ -20,10 +20,11 @@ pub(super) const EMPTY: MinBox = [f32::INFINITY; LANES];
 
 /// Writes leaves.
 pub(super) trait LeafSink<S: Simd> {
-    /// Largest leaf that is not split further.
-    const LEAF_MAX: usize;
     /// Whether to split by one plane at a time, with more bins, instead of into octants.
     const ONE_PLANE: bool;
+
+    /// Largest leaf that is not split further.
+    fn leaf_max(&self) -> usize;
 
     /// What stands for the node at `index`; indices ascend.
     fn inner(&mut self, index: usize) -> Child;
@@ -246,7 +247,7 @@ impl<'a, S: Simd> Tree<'a, S> {
     #[inline(always)]
     fn grow<L: LeafSink<S>>(&mut self, sink: &mut L) {
         while let Some(task) = self.tasks.pop() {
-            let (runs, run_count) = self.children::<L>(&task);
+            let (runs, run_count) = self.children::<L>(&task, sink.leaf_max());
             let mut node = Node::EMPTY;
             for (lane, run) in runs[..run_count].iter().enumerate() {
                 for axis in 0..3 {
@@ -262,7 +263,7 @@ impl<'a, S: Simd> Tree<'a, S> {
     /// A run as a child: a leaf if it is short or there are no nodes left, else a node and the task to fill it.
     #[inline(always)]
     fn child<L: LeafSink<S>>(&mut self, run: &Run, depth: u32, sink: &mut L) -> Child {
-        if run.count() > L::LEAF_MAX && self.node_count < self.nodes.len() {
+        if run.count() > sink.leaf_max() && self.node_count < self.nodes.len() {
             let node = self.node_count;
             self.node_count += 1;
             self.tasks.push(Task { run: *run, node: node as u32, depth });
@@ -293,15 +294,15 @@ impl<'a, S: Simd> Tree<'a, S> {
 
     /// The children of a node: its octants, the largest of them split again.
     #[inline(always)]
-    fn children<L: LeafSink<S>>(&mut self, task: &Task) -> ([Run; LANES], usize) {
+    fn children<L: LeafSink<S>>(&mut self, task: &Task, leaf_max: usize) -> ([Run; LANES], usize) {
         let mut runs = [task.run; LANES];
         let mut count = 1;
         loop {
             // The largest run that is too long for a leaf; at first the node itself. Then lanes that are still free take
             // leaves apart that would be more than one packet: that costs no further node, and a ray tests only the part
             // that it meets.
-            let largest = largest_run(&runs[..count], L::LEAF_MAX)
-                .or_else(|| largest_run(&runs[..count], L::LEAF_MAX.min(LANES)));
+            let largest = largest_run(&runs[..count], leaf_max)
+                .or_else(|| largest_run(&runs[..count], leaf_max.min(LANES)));
             let Some(largest) = largest else { break };
             let planes = match LANES - count {
                 0 => break,

@@ -215,8 +215,12 @@ struct BoxSink {
 }
 
 impl<S: Simd> LeafSink<S> for BoxSink {
-    const LEAF_MAX: usize = 1;
     const ONE_PLANE: bool = true;
+
+    #[inline(always)]
+    fn leaf_max(&self) -> usize {
+        1
+    }
 
     #[inline(always)]
     fn inner(&mut self, index: usize) -> Child {

@@ -9,8 +9,12 @@ use crate::block::BlockData;
 use crate::model::BlockEntry;
 use crate::simd::{AnyOperation, LANES, PackedBoxes, Simd, SimdLevel, dispatch};
 
-/// Leaves hold at most this many triangles where the slot has room for enough nodes: two packets.
-const LEAF_TRIANGLES_MAX: usize = 16;
+/// Expanded leaves hold at most this many triangles where the slot has room for enough nodes: three packets, whose rows lie one after
+/// the other, are had sooner than another node and two leaves.
+const LEAF_TRIANGLES_MAX: usize = 24;
+
+/// Indexed leaves hold at most so many: two packets, because theirs are put together vertex by vertex.
+const INDEXED_LEAF_TRIANGLES_MAX: usize = 16;
 
 /// Builds `data`, the block that the directory's `entry` describes, into `slot`, which must have [`FineLayout::slot_bytes`] for it. Does not allocate.
 ///
@@ -140,8 +144,12 @@ struct TriangleSink<'a> {
 }
 
 impl<S: Simd> LeafSink<S> for TriangleSink<'_> {
-    const LEAF_MAX: usize = LEAF_TRIANGLES_MAX;
     const ONE_PLANE: bool = false;
+
+    #[inline(always)]
+    fn leaf_max(&self) -> usize {
+        if self.header.expanded == 1 { LEAF_TRIANGLES_MAX } else { INDEXED_LEAF_TRIANGLES_MAX }
+    }
 
     fn inner(&mut self, index: usize) -> Child {
         Child::inner(((HEADER_BYTES + index * size_of::<Node>()) / PLACE_BYTES) as u32)
@@ -200,5 +208,92 @@ impl<S: Simd> LeafSink<S> for TriangleSink<'_> {
         edge[0] = simd.to_array(longest).into_iter().fold(0.0, f32::max).to_bits();
         let place = (self.header.leaves_start() + 4 * start) / PLACE_BYTES;
         Child::triangles(place as u32, count as u32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fine::{Fine, TriangleLocation};
+    use super::*;
+    use crate::geom::Aabb;
+    use crate::units::TriangleId;
+
+    /// A wavy sheet of 2,048 triangles.
+    fn sheet() -> (BlockEntry, BlockData) {
+        const SIDE: u16 = 32;
+        let corner = |x: u16, y: u16| y * (SIDE + 1) + x;
+        let mut data = BlockData::default();
+        for y in 0..=SIDE {
+            for x in 0..=SIDE {
+                data.vertices.push([f32::from(x), f32::from(y), f32::from(x * y % 7)]);
+            }
+        }
+        for y in 0..SIDE {
+            for x in 0..SIDE {
+                let [a, b, c, d] = [corner(x, y), corner(x + 1, y), corner(x, y + 1), corner(x + 1, y + 1)];
+                data.triangles.extend([[a, b, c], [d, c, b]]);
+            }
+        }
+        data.ids = (100..100 + data.triangles.len() as u64).collect();
+        data.materials = vec![0; data.triangles.len()];
+        let side = f64::from(SIDE);
+        let entry = BlockEntry {
+            offset: 0,
+            stored_bytes: 0,
+            checksum: 0,
+            triangle_count: data.triangles.len() as u32,
+            vertex_count: data.vertices.len() as u32,
+            bounds: Aabb { min: [0.0; 3], max: [side, side, 6.0] },
+            // None is a box: the block is the only one.
+            sub_boxes: [[1, 1, 1, 0, 0, 0]; LANES],
+            material_range: [0, 0],
+        };
+        (entry, data)
+    }
+
+    /// The ids in each leaf of the tree in `slot`.
+    fn leaves(slot: &[u8]) -> Vec<Vec<TriangleId>> {
+        let fine = Fine::new(slot);
+        let (groups, used) = fine.groups();
+        let mut waiting: Vec<Child> =
+            (0..LANES).filter(|lane| used >> lane & 1 == 1).map(|lane| groups[lane]).collect();
+        let mut leaves = Vec::new();
+        while let Some(child) = waiting.pop() {
+            if child.is_leaf() {
+                let lanes = 0..child.triangle_count();
+                leaves.push(lanes.map(|lane| fine.id(TriangleLocation { leaf: child, lane })).collect());
+                continue;
+            }
+            let node = fine.node(child);
+            let lanes = (0..LANES).filter(|lane| node.bounds[0][*lane] <= node.bounds[3][*lane]);
+            waiting.extend(lanes.map(|lane| node.children[lane]));
+        }
+        leaves
+    }
+
+    #[test]
+    fn leaves_hold_each_triangle_once_and_no_more_than_their_layout_likes() {
+        let (entry, data) = sheet();
+        let count = data.triangles.len();
+        for (expanded, most) in [(true, LEAF_TRIANGLES_MAX), (false, INDEXED_LEAF_TRIANGLES_MAX)] {
+            for quality in [TreeQuality::Best, TreeQuality::Quick] {
+                for level in [SimdLevel::Portable, SimdLevel::best()] {
+                    let layout = FineLayout { expanded, scale: 1.0 };
+                    let bytes = layout.slot_bytes(count, data.vertices.len(), false).as_usize();
+                    let mut memory = vec![0u8; bytes + 64];
+                    // Slots begin at a multiple of 64 bytes.
+                    let start = memory.as_ptr().align_offset(64);
+                    let slot = &mut memory[start..start + bytes];
+                    let mut scratch = BuildScratch::new(count, data.vertices.len());
+                    build(level, &entry, &data, (layout, quality), slot, &mut scratch);
+                    let leaves = leaves(slot);
+                    let longest = leaves.iter().map(Vec::len).max().unwrap();
+                    assert!(longest <= most, "{longest} of {most}");
+                    let mut ids: Vec<TriangleId> = leaves.into_iter().flatten().collect();
+                    ids.sort();
+                    assert!(ids.into_iter().eq(data.ids.iter().map(|id| TriangleId(*id))));
+                }
+            }
+        }
     }
 }

@@ -11,7 +11,7 @@ const BIN_COUNT: usize = 32;
 const FINE_BIN_COUNT: usize = 8;
 
 /// A fine node gets a plane on each axis whose best plane gains at least this part of what the best of all gains.
-const GATE: f32 = 0.8;
+const GATE: f32 = 0.9;
 
 /// A fine node that is built quickly gets a plane on each axis along which its centres spread at least this part of how far they
 /// spread along the longest.
