@@ -50,7 +50,7 @@ pub enum LeafLayout {
     /// `Expanded` if at least a quarter of the blocks fit the budget with it, else `Indexed`.
     #[default]
     Auto,
-    /// Nine f32 per triangle in rows of eight lanes: fastest, about 190 KiB for a full block of 64 KiB.
+    /// Nine f32 per triangle in rows of eight lanes: fastest, about 245 KiB for a full block of 64 KiB.
     Expanded,
     /// Three u16 per triangle into the block's vertices: about 15 to 25 % slower rays, about 40 % of the memory.
     Indexed,

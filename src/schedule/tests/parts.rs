@@ -397,7 +397,8 @@ fn grid() -> ImageGrid {
 
 #[test]
 fn the_first_get_equal_pieces_of_the_curve() {
-    let mut top = PartScheduler::new(grid(), PartOptions::new(3)).unwrap();
+    let whole = PartOptions { first_share: 1.0, ..PartOptions::new(3) };
+    let mut top = PartScheduler::new(grid(), whole).unwrap();
     for id in 0..4 {
         top.join(SubCoordinatorId(id), 8, Duration::ZERO);
     }
@@ -417,12 +418,21 @@ fn the_first_get_equal_pieces_of_the_curve() {
     assert_eq!(counts, [341, 341, 342]);
     let tiles: Vec<TileId> = grants.iter().flat_map(|cells| cells.iter().map(|cells| cells.tile)).collect();
     assert!(tiles.is_sorted() && tiles.iter().collect::<BTreeSet<_>>().len() == 16);
+    // Half of them, if nothing else is asked for.
+    let mut top = PartScheduler::new(grid(), PartOptions::new(3)).unwrap();
+    for id in 0..3 {
+        top.join(SubCoordinatorId(id), 8, Duration::ZERO);
+        let Some((_, PartNotice::Grant(parts))) = top.notice() else { panic!("no part for {id}") };
+        let count: u32 = parts.iter().map(|part| part.cells.count()).sum();
+        assert!((170..=171).contains(&count), "{count}");
+    }
 }
 
 /// Who is through gets so much of the rest of the one that would be through last that both are through at one time.
 #[test]
 fn the_last_one_gives_up_its_share() {
-    let mut top = PartScheduler::new(grid(), PartOptions::new(3)).unwrap();
+    let whole = PartOptions { first_share: 1.0, ..PartOptions::new(3) };
+    let mut top = PartScheduler::new(grid(), whole).unwrap();
     let ids = [0, 1, 2].map(SubCoordinatorId);
     ids.iter().for_each(|id| top.join(*id, 8, Duration::ZERO));
     while top.notice().is_some() {}
