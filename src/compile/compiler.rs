@@ -23,7 +23,7 @@ use super::refine::{refine, triangle_count};
 use super::scatter::{self, Scatter, Scattered};
 use super::spill::SpillPlace;
 use super::temporary::DiskQuota;
-use super::vertices::{Keep, VertexStore};
+use super::vertices::{Keep, VertexStore, unknown_vertex};
 use crate::block::BlockLimits;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::CompileError;
@@ -787,10 +787,6 @@ impl Ending for Publish {
 /// What pages must leave in the budget for the rest of the scatter.
 fn headroom(budget: &MemoryBudget) -> u64 {
     budget.limit().0 / 10 + SPILL_BUFFERS
-}
-
-fn unknown_vertex(vertex: u64) -> CompileError {
-    CompileError::Limit { reason: format!("a face names vertex {vertex}, which has not come yet") }
 }
 
 impl std::fmt::Debug for Compiler<'_> {

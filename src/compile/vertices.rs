@@ -219,6 +219,11 @@ impl VertexStore {
     }
 }
 
+/// What a face is refused for that comes before its vertex.
+pub(super) fn unknown_vertex(vertex: u64) -> CompileError {
+    CompileError::Limit { reason: format!("a face names vertex {vertex}, which has not come yet") }
+}
+
 /// A store for f64 with the f32 vertices that came before, none of which was moved by more than `move_max`. How far each was moved is
 /// not known any more: it counts as 0.
 fn widen(
