@@ -104,6 +104,7 @@ impl ShadowBatch {
         self.rays.clear();
         self.claims.clear();
         self.walkers.clear();
+        self.straight_only = false;
     }
 
     pub fn is_full(&self) -> bool {
