@@ -110,7 +110,7 @@ fn what_is_not_a_trace_is_called_that() {
         AccessTrace::from_bytes(newer),
         Err(AccessTraceError::Version { found: 9, supported: 1 })
     ));
-    assert!(matches!(AccessTrace::open("no such file".as_ref()), Err(AccessTraceError::Io(_))));
+    assert!(matches!(AccessTrace::open("no such file"), Err(AccessTraceError::Io(_))));
     let refused = AccessRecorder::new(Box::new(io::sink()), u32::MAX, Bytes(64));
     assert!(matches!(refused.err(), Some(AccessTraceError::TooManyBlocks { block_count: u32::MAX, .. })));
 }

@@ -12,7 +12,7 @@ use crate::units::Bytes;
 ///
 /// ```no_run
 /// use outcrop::access::{AccessTrace, MissRatioCurve};
-/// let trace = AccessTrace::open("view.accesses".as_ref())?;
+/// let trace = AccessTrace::open("view.accesses")?;
 /// let curve = MissRatioCurve::of(&trace);
 /// if let Some(need) = curve.memory_need(1.1) {
 ///     println!("{} for at most 1.1 loads of each block that is touched", need.bytes);

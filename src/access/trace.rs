@@ -37,7 +37,7 @@ impl AccessTrace {
     ///
     /// # Errors
     /// [`AccessTraceError::Io`], or as for [`AccessTrace::from_bytes`].
-    pub fn open(path: &Path) -> Result<AccessTrace, AccessTraceError> {
+    pub fn open(path: impl AsRef<Path>) -> Result<AccessTrace, AccessTraceError> {
         AccessTrace::from_bytes(std::fs::read(path).map_err(AccessTraceError::Io)?)
     }
 

@@ -17,8 +17,8 @@ use crate::model::SourceRecord;
 /// # Errors
 /// [`CompileError`]; no file is left then, and one that was at `output` before is as it was.
 pub fn compile_file(
-    input: &Path,
-    output: &Path,
+    input: impl AsRef<Path>,
+    output: impl AsRef<Path>,
     options: &CompileOptions,
     budget: &MemoryBudget,
     progress: &mut dyn FnMut(Progress) -> Control,
@@ -31,13 +31,14 @@ pub fn compile_file(
 /// # Errors
 /// As for [`compile_file`].
 pub fn compile_file_with(
-    input: &Path,
+    input: impl AsRef<Path>,
     import: &ImportOptions,
-    output: &Path,
+    output: impl AsRef<Path>,
     options: &CompileOptions,
     budget: &MemoryBudget,
     progress: &mut dyn FnMut(Progress) -> Control,
 ) -> Result<CompileReport, CompileError> {
+    let (input, output) = (input.as_ref(), output.as_ref());
     let source = source_record_of(input, import)?;
     let mut prepare = |_: &mut Compiler<'_>| ();
     let end = |compiler: Compiler<'_>, import| {

@@ -59,10 +59,11 @@ fn kind(path: &Path) -> Option<(Format, bool)> {
 /// What cannot be opened or read ([`ImportError::Io`]), understood ([`ImportError::Line`], [`ImportError::Byte`],
 /// [`ImportError::UnknownKind`]) or received ([`ImportError::Sink`]).
 pub fn import_file(
-    path: &Path,
+    path: impl AsRef<Path>,
     options: &ImportOptions,
     sink: &mut dyn MeshSink,
 ) -> Result<ImportReport, ImportError> {
+    let path = path.as_ref();
     let (format, compressed) = kind(path).ok_or_else(|| ImportError::UnknownKind { path: path.into() })?;
     let mut open = || open(path, compressed);
     match format {
@@ -120,7 +121,8 @@ const FINGERPRINT_BYTES: u64 = 64 << 10;
 ///
 /// # Errors
 /// [`ImportError::Io`] for the model file. A library that is not there is left out, as [`import_file`] leaves it out.
-pub fn source_record(path: &Path) -> Result<SourceRecord, ImportError> {
+pub fn source_record(path: impl AsRef<Path>) -> Result<SourceRecord, ImportError> {
+    let path = path.as_ref();
     let mut file = File::open(path).map_err(io_error(path))?;
     let metadata = file.metadata().map_err(io_error(path))?;
     let mut modified_ns = modified_ns(&metadata).map_err(io_error(path))?;
@@ -142,7 +144,10 @@ pub fn source_record(path: &Path) -> Result<SourceRecord, ImportError> {
 ///
 /// # Errors
 /// As for [`source_record`].
-pub fn source_record_of(path: &Path, options: &ImportOptions) -> Result<SourceRecord, ImportError> {
+pub fn source_record_of(
+    path: impl AsRef<Path>,
+    options: &ImportOptions,
+) -> Result<SourceRecord, ImportError> {
     let record = source_record(path)?;
     #[cfg(feature = "gltf")]
     if options.gltf_part != gltf::GltfPart::Scene {

@@ -34,7 +34,7 @@ impl GltfInstances {
     ///
     /// # Errors
     /// As for [`gltf_meshes`].
-    pub fn read(path: &Path) -> Result<Option<GltfInstances>, ImportError> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Option<GltfInstances>, ImportError> {
         GltfInstances::read_for(path, GltfInstances::TRIANGLES_SAVED_MIN)
     }
 
@@ -42,7 +42,10 @@ impl GltfInstances {
     ///
     /// # Errors
     /// As for [`gltf_meshes`].
-    pub fn read_for(path: &Path, triangles_saved_min: u64) -> Result<Option<GltfInstances>, ImportError> {
+    pub fn read_for(
+        path: impl AsRef<Path>,
+        triangles_saved_min: u64,
+    ) -> Result<Option<GltfInstances>, ImportError> {
         Ok(GltfInstances::of(&gltf_meshes(path)?, triangles_saved_min))
     }
 

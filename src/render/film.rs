@@ -176,8 +176,8 @@ impl Film {
     /// # Errors
     /// [`RenderError::Setting`] for an extension that names no format of this build, [`RenderError::Write`] if the
     /// file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<(), RenderError> {
-        image::write(self, path)
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<(), RenderError> {
+        image::write(self, path.as_ref())
     }
 
     /// Takes over the pixels of a finished tile, given row by row.

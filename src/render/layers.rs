@@ -70,7 +70,7 @@ impl Layers {
     /// # Errors
     /// [`RenderError::Setting`] if the film has another size, or `path` does not end in `.exr`, or the build lacks the
     /// feature; [`RenderError::Write`] if the file cannot be written.
-    pub fn write(&self, film: &Film, path: &Path) -> Result<(), RenderError> {
+    pub fn write(&self, film: &Film, path: impl AsRef<Path>) -> Result<(), RenderError> {
         if (film.width(), film.height()) != (self.width, self.height) {
             let reason = format!(
                 "the film has {} x {} pixels, the layers {} x {}",
@@ -81,7 +81,7 @@ impl Layers {
             );
             return Err(RenderError::Setting { what: "layers", reason });
         }
-        image::write_layers(film, self, path)
+        image::write_layers(film, self, path.as_ref())
     }
 
     /// What the layers of an image of so many pixels take from the budget while they are made. An octree opened without a limit takes all that is left for

@@ -28,8 +28,8 @@ impl GltfView {
     ///
     /// # Errors
     /// As for [`import_file`](crate::import::import_file), and [`ImportError::Element`] for a camera or a light that makes no sense.
-    pub fn read(path: &Path) -> Result<GltfView, ImportError> {
-        let opened = Opened::new(path)?;
+    pub fn read(path: impl AsRef<Path>) -> Result<GltfView, ImportError> {
+        let opened = Opened::new(path.as_ref())?;
         let mut view = GltfView::default();
         visit(&opened, |node, matrix| {
             let refused =

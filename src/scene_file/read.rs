@@ -96,7 +96,8 @@ impl SceneFile {
     ///
     /// # Errors
     /// [`SceneFileError`].
-    pub fn read(path: &Path) -> Result<SceneFile, SceneFileError> {
+    pub fn read(path: impl AsRef<Path>) -> Result<SceneFile, SceneFileError> {
+        let path = path.as_ref();
         let io = |error| SceneFileError::Io { path: path.to_path_buf(), error };
         let mut bytes = Vec::new();
         // One more tells a file that is too long.

@@ -49,7 +49,8 @@ impl SharedKey {
     ///
     /// # Errors
     /// [`TransportError::Key`] if it cannot be read, others may read it, or it holds no key.
-    pub fn from_file(path: &Path) -> Result<SharedKey, TransportError> {
+    pub fn from_file(path: impl AsRef<Path>) -> Result<SharedKey, TransportError> {
+        let path = path.as_ref();
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|error| key_error(&name, error.to_string()))?;
         #[cfg(unix)]

@@ -170,12 +170,13 @@ impl LazyModel {
     /// [`CompileError`]; [`CompileError::Locked`] if the working file is in use. A pass that was broken off leaves a file that the
     /// next one starts anew.
     pub fn open(
-        input: &Path,
-        output: &Path,
+        input: impl AsRef<Path>,
+        output: impl AsRef<Path>,
         options: &LazyOptions,
         budget: &MemoryBudget,
         progress: &mut dyn FnMut(Progress) -> Control,
     ) -> Result<LazyModel, CompileError> {
+        let (input, output) = (input.as_ref(), output.as_ref());
         let source = source_record(input)?;
         let working = match LazyModel::reopen(output, source, options, budget)? {
             Ok(model) => return Ok(model),
@@ -202,12 +203,13 @@ impl LazyModel {
     /// As for [`LazyModel::open`].
     pub fn from_mesh(
         source: SourceRecord,
-        output: &Path,
+        output: impl AsRef<Path>,
         options: &LazyOptions,
         budget: &MemoryBudget,
         progress: &mut dyn FnMut(Progress) -> Control,
         emit: impl FnOnce(&mut Compiler<'_>) -> Result<(), CompileError>,
     ) -> Result<LazyModel, CompileError> {
+        let output = output.as_ref();
         let working = match LazyModel::reopen(output, source, options, budget)? {
             Ok(model) => return Ok(model),
             Err(working) => working,
@@ -221,8 +223,8 @@ impl LazyModel {
     }
 
     /// Where the working file of a lazy compile to `output` is.
-    pub fn working_path(output: &Path) -> PathBuf {
-        WorkingFile::path_for(output)
+    pub fn working_path(output: impl AsRef<Path>) -> PathBuf {
+        WorkingFile::path_for(output.as_ref())
     }
 
     /// Locks the working file and opens the model from it, or gives back the file, empty.

@@ -50,8 +50,8 @@ pub struct GltfMesh {
 ///
 /// # Errors
 /// As for [`import_file`](crate::import::import_file), of what is looked at.
-pub fn gltf_meshes(path: &Path) -> Result<Vec<GltfMesh>, ImportError> {
-    let opened = Opened::new(path)?;
+pub fn gltf_meshes(path: impl AsRef<Path>) -> Result<Vec<GltfMesh>, ImportError> {
+    let opened = Opened::new(path.as_ref())?;
     let mut meshes: Vec<GltfMesh> = Vec::new();
     let mut places = vec![None; opened.document.meshes().len()];
     for placed in placements(&opened, &mut Bytes::new(&opened), &GltfPart::Scene)? {

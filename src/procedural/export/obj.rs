@@ -18,7 +18,8 @@ use crate::units::MaterialId;
 ///
 /// # Errors
 /// [`CompileError::Write`] if a file cannot be written; the files are left as far as they came.
-pub fn write_obj(shape: &dyn Shape, path: &Path) -> Result<(), CompileError> {
+pub fn write_obj(shape: &dyn Shape, path: impl AsRef<Path>) -> Result<(), CompileError> {
+    let path = path.as_ref();
     let mtl_path = path.with_extension("mtl");
     let mut sink =
         ObjSink { out: Out::create(path)?, text: Vec::new(), materials: Vec::new(), current: None };

@@ -21,7 +21,12 @@ use crate::units::MaterialId;
 /// # Errors
 /// [`CompileError::Write`] if a file cannot be written; [`CompileError::Limit`] if a vertex index does not fit the
 /// format's `int`. The files are left as far as they came.
-pub fn write_ply(shape: &dyn Shape, path: &Path, with_materials: bool) -> Result<(), CompileError> {
+pub fn write_ply(
+    shape: &dyn Shape,
+    path: impl AsRef<Path>,
+    with_materials: bool,
+) -> Result<(), CompileError> {
+    let path = path.as_ref();
     if shape.vertex_count() > i32::MAX as u64 {
         return Err(CompileError::Limit {
             reason: "PLY numbers vertices with 31 bits: choose a smaller model".to_string(),

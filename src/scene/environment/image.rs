@@ -57,7 +57,8 @@ impl EnvironmentImage {
     /// # Errors
     /// [`RenderError::Read`] if the file cannot be read, is damaged, or is of a format that this build does not read; otherwise
     /// as for [`EnvironmentImage::new`]. Memory is reserved before the picture is decoded.
-    pub fn read(path: &Path, budget: &MemoryBudget) -> Result<EnvironmentImage, RenderError> {
+    pub fn read(path: impl AsRef<Path>, budget: &MemoryBudget) -> Result<EnvironmentImage, RenderError> {
+        let path = path.as_ref();
         let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or("");
         match extension.to_ascii_lowercase().as_str() {
             #[cfg(feature = "exr")]
