@@ -2,28 +2,32 @@
 //! rays, for three mixes of rays.
 //!
 //!     cargo bench --bench loads -- [MODEL] [--side N] [--pool N] [--weight N] [--by-depth] [--percent N,...] [--mix N] [--only-pool]
-//!         [--camera-loads] [--shadows-load] [--threads N] [--in-flight N] [--slow] [--times N]
+//!         [--camera-loads] [--shadows-load] [--threads N] [--in-flight N] [--slow] [--times N] [--policies]
 //!
-//! MODEL: `gearsN` (made here) or a model or compiled file. Answers of all runs are compared. Blocks are read past the page cache.
+//! MODEL: `gearsN` or `toriN` (made here) or a model or compiled file. Answers of all runs are compared. Blocks are read past the page cache.
 //!
 //! `--threads`: that many threads load for the pool, instead of the one that traces. `--slow`: each read takes 5 ms more, and
 //! all share 40 MB/s. `--times`: instead of counts, times with a slot for each block and with each percentage, as many times in turn, and their
-//! medians.
+//! medians. `--policies`: a table of loads by replacement policy, and the fewest that any could have with the pool's own order of visits.
 
 mod drive;
 mod mixes;
 #[path = "../support/rays.rs"]
 mod rays;
 
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use drive::{Order, Run, run};
 use mixes::Mix;
+use outcrop::access::{AccessTrace, optimum_loads, replay};
+use outcrop::cache::Policy;
 use outcrop::compile::{CompileOptions, Control, compile_file, compile_shape};
 use outcrop::octree::OctreeOptions;
-use outcrop::procedural::Gears;
+use outcrop::procedural::{Gears, Shape, TorusField};
 use outcrop::source::testing::SlowSource;
 use outcrop::source::{BlockSource, DiskSource, PageCache};
 use outcrop::units::Bytes;
@@ -44,6 +48,7 @@ struct Options {
     in_flight: u32,
     slow: bool,
     times: usize,
+    policies: bool,
 }
 
 impl Options {
@@ -64,6 +69,7 @@ impl Options {
             in_flight: 8,
             slow: false,
             times: 0,
+            policies: false,
         };
         let mut parser = lexopt::Parser::from_env();
         while let Some(argument) = parser.next()? {
@@ -81,13 +87,14 @@ impl Options {
                 Long("threads") => options.threads = parser.value()?.parse()?,
                 Long("in-flight") => options.in_flight = parser.value()?.parse()?,
                 Long("slow") => options.slow = true,
+                Long("policies") => options.policies = true,
                 Long("times") => options.times = parser.value()?.parse()?,
                 // `cargo bench` adds it.
                 Long("bench") => {}
                 // As for criterion's benches: once, small, only to see that it runs and that all answers are the same.
                 Long("test") => {
                     (options.model, options.side) = ("gears1".to_string(), 32);
-                    (options.pools, options.percents) = (vec![64], vec![25.0]);
+                    (options.pools, options.percents, options.policies) = (vec![64], vec![25.0], false);
                 }
                 other => return Err(other.unexpected()),
             }
@@ -105,9 +112,17 @@ fn compiled(model: &str, folder: &Path) -> PathBuf {
     let budget = MemoryBudget::new(Bytes::mib(512));
     let (options, go_on) = (CompileOptions::default(), &mut |_| Control::Continue);
     let path = folder.join("model.outcrop");
-    if let Some(n) = model.strip_prefix("gears").and_then(|n| n.parse().ok()) {
-        let gears = Gears::new(n).expect("a size that exists");
-        compile_shape(&gears, &path, &options, &budget, go_on).expect("the gears compile");
+    let size = |prefix: &str| model.strip_prefix(prefix).and_then(|n| n.parse::<u32>().ok());
+    let shape: Option<Box<dyn Shape>> = if let Some(n) = size("gears") {
+        Some(Box::new(Gears::new(n).expect("a size that exists")))
+    } else {
+        // As many triangles as gears of that size.
+        size("tori").map(|n| -> Box<dyn Shape> {
+            Box::new(TorusField::new(4, 40 * n, 5 * n.pow(2), 1).expect("a size that exists"))
+        })
+    };
+    if let Some(shape) = shape {
+        compile_shape(&*shape, &path, &options, &budget, go_on).expect("the shape compiles");
         return path;
     }
     if model.ends_with(".outcrop") {
@@ -126,6 +141,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for mix in &options.mixes {
         if options.times > 0 {
             times(&bench, *mix, &options);
+        } else if options.policies {
+            policies(&bench, *mix, &options, &folder.path().join("pool.accesses"));
         } else {
             counts(&bench, *mix, &options);
         }
@@ -169,6 +186,37 @@ fn counts(bench: &Bench, mix: Mix, options: &Options) {
                 part.wall / whole.wall,
                 part.run.counters.suspended_peak,
             );
+        }
+    }
+}
+
+/// Loads per touched block by replacement policy. `accesses`: where a file can be.
+fn policies(bench: &Bench, mix: Mix, options: &Options, accesses: &Path) {
+    let whole = bench.measured(mix, 100.0, Order::DepthFirst);
+    let touched = whole.run.counters.blocks_loaded as f64;
+    println!("{}: {} rays, {touched} blocks touched", mix.name(), whole.run.counters.rays);
+    let names = Policy::ALL.map(Policy::name).join(" | ");
+    for order in options.pools() {
+        println!(
+            "{order:?}\n| cache | slots | {names} | optimum |\n|---|---|{}---|",
+            "---|".repeat(Policy::ALL.len())
+        );
+        for percent in &options.percents {
+            let slots = bench.slots(*percent);
+            let loads = Policy::ALL.map(|policy| {
+                let run = bench.measured_by(mix, *percent, order, policy, None).run;
+                assert_eq!(run.sum, whole.run.sum, "answers depend on the cache, the order or the policy");
+                run.counters.blocks_loaded
+            });
+            let recorded = bench.measured_by(mix, *percent, order, Policy::Lru, Some(accesses)).run;
+            assert_eq!(recorded.sum, whole.run.sum, "answers depend on whether accesses are written down");
+            let trace = AccessTrace::open(accesses).expect("what was recorded");
+            let optimum = optimum_loads(&trace, slots);
+            let replayed = replay(&trace, Policy::Lru, slots, 0).loads;
+            assert!(optimum <= replayed, "the fewest loads are more than those of lru");
+            let cells: Vec<String> =
+                loads.iter().map(|loads| format!("{:.3}", *loads as f64 / touched)).collect();
+            println!("| {percent} % | {slots} | {} | {:.3} |", cells.join(" | "), optimum as f64 / touched);
         }
     }
 }
@@ -227,22 +275,51 @@ struct Measured {
 }
 
 impl Bench {
+    /// Slots for that part of the blocks.
+    fn slots(&self, percent: f64) -> u32 {
+        slots_of(&DiskSource::open(&self.path).expect("a compiled file"), percent)
+    }
+
     /// A run from a cold octree, past the page cache.
     fn measured(&self, mix: Mix, percent: f64, order: Order) -> Measured {
+        self.measured_by(mix, percent, order, Policy::Lru, None)
+    }
+
+    /// The same with another policy; with `accesses`, which blocks are visited is written down there.
+    fn measured_by(
+        &self,
+        mix: Mix,
+        percent: f64,
+        order: Order,
+        policy: Policy,
+        accesses: Option<&Path>,
+    ) -> Measured {
         let disk = DiskSource::open_with(&self.path, PageCache::Bypass).expect("a compiled file");
         let source: Arc<dyn BlockSource> = if self.slow {
             Arc::new(SlowSource::new(disk, Duration::from_millis(5), Some(40_000_000)))
         } else {
             Arc::new(disk)
         };
-        let slots = (source.model().blocks.len() as f64 * percent / 100.0).ceil() as u32;
-        let octree_options = OctreeOptions { slots_max: Some(slots), ..OctreeOptions::default() };
+        let slots = slots_of(&*source, percent);
+        let octree_options = OctreeOptions { slots_max: Some(slots), policy, ..OctreeOptions::default() };
         let budget = MemoryBudget::new(Bytes(1 << 40));
-        let octree = LazyOctree::open(source, &budget, octree_options).expect("the budget is ample");
+        let mut octree = LazyOctree::open(source, &budget, octree_options).expect("the budget is ample");
+        let recorder = accesses.map(|path| {
+            let file = File::create(path).expect("room for a file");
+            octree.record_accesses(Box::new(BufWriter::new(file))).expect("the file can be written")
+        });
         let (start, cpu) = (Instant::now(), processor_time());
         let run = run(&octree, mix, self.side, order, 0..self.side * self.side);
+        if let Some(recorder) = recorder {
+            recorder.finish().expect("the file can be written");
+        }
         Measured { run, wall: start.elapsed().as_secs_f64(), cpu: processor_time() - cpu }
     }
+}
+
+/// That part of the blocks.
+fn slots_of(source: &dyn BlockSource, percent: f64) -> u32 {
+    (source.model().blocks.len() as f64 * percent / 100.0).ceil() as u32
 }
 
 /// Of this process, in seconds; 0 where it cannot be asked.
