@@ -267,7 +267,7 @@ fn many_triangles_in_a_small_budget_on_any_threads() {
     let source = Arc::new(DiskSource::open_with(&path, PageCache::Bypass).unwrap());
     let budget = MemoryBudget::new(Bytes::mib(2));
     let cache = AttributeCache::open(source, Bytes(0), 1, &budget).unwrap();
-    assert_eq!(budget.used(), AttributeCache::footprint(cache.model(), Bytes(0), 1));
+    assert_eq!(budget.used(), AttributeCache::bytes_needed(cache.model(), Bytes(0), 1));
     let mut reader = cache.reader();
     for round in 0..200 {
         let id = round * 10_007 % count;

@@ -284,15 +284,15 @@ fn following_cache_with_ample_memory() {
 
 #[test]
 fn a_cache_takes_its_footprint_from_the_budget_and_gives_it_back() {
-    let footprint = SlotCache::<Lru>::footprint(7, Bytes(1000), 50);
-    assert!(footprint >= Bytes(7 * 1024 + 50 * 8));
-    let budget = MemoryBudget::new(footprint);
+    let bytes_needed = SlotCache::<Lru>::bytes_needed(7, Bytes(1000), 50);
+    assert!(bytes_needed >= Bytes(7 * 1024 + 50 * 8));
+    let budget = MemoryBudget::new(bytes_needed);
     let cache = SlotCache::new(7, Bytes(1000), 50, Lru::new(), &budget).unwrap();
     assert_eq!((budget.available(), cache.slot_bytes()), (Bytes(0), Bytes(1024)));
     drop(cache);
     assert_eq!(budget.used(), Bytes(0));
-    let small = MemoryBudget::new(Bytes(footprint.0 - 1));
-    assert_eq!(SlotCache::new(7, Bytes(1000), 50, Lru::new(), &small).err().unwrap().needed, footprint);
+    let small = MemoryBudget::new(Bytes(bytes_needed.0 - 1));
+    assert_eq!(SlotCache::new(7, Bytes(1000), 50, Lru::new(), &small).err().unwrap().needed, bytes_needed);
     // More than any address space.
     let endless = MemoryBudget::new(Bytes(u64::MAX));
     for slot_bytes in [Bytes(u64::MAX), Bytes(1 << 40)] {

@@ -79,7 +79,7 @@ impl MissRatioCurve {
         let slots = self.loads.partition_point(|loads| *loads as f64 > target);
         // Slots are counted in u32, as blocks are.
         let slots = u32::try_from(slots).ok().filter(|_| slots < self.loads.len())?;
-        Some(MemoryNeed { slots, bytes: Policy::Lru.footprint(slots, self.slot_bytes, self.block_count) })
+        Some(MemoryNeed { slots, bytes: Policy::Lru.bytes_needed(slots, self.slot_bytes, self.block_count) })
     }
 }
 

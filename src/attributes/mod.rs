@@ -28,7 +28,7 @@ impl AttributeCache {
     ///
     /// # Errors
     /// [`LoadError::Source`] if the source cannot give the model's attributes, [`LoadError::Budget`] if the budget does not hold
-    /// [`AttributeCache::footprint`].
+    /// [`AttributeCache::bytes_needed`].
     pub fn open(
         source: Arc<dyn BlockSource>,
         share: Bytes,
@@ -49,10 +49,10 @@ impl AttributeCache {
     }
 
     /// What [`AttributeCache::open`] takes from the budget.
-    pub fn footprint(model: &Model, share: Bytes, readers: u32) -> Bytes {
+    pub fn bytes_needed(model: &Model, share: Bytes, readers: u32) -> Bytes {
         let (slots, slot_bytes, pages) = sizes(model, share, readers);
         let scratch = reader_bytes(model).saturating_mul(u64::from(readers));
-        Bytes(SlotCache::<Lru>::footprint(slots, slot_bytes, pages).0.saturating_add(scratch))
+        Bytes(SlotCache::<Lru>::bytes_needed(slots, slot_bytes, pages).0.saturating_add(scratch))
     }
 
     /// What is known about the model.

@@ -118,7 +118,7 @@ impl BlockData {
     }
 
     /// What [`BlockData::with_limits`] allocates, for the memory budget (I1).
-    pub fn bytes_for(limits: BlockLimits) -> Bytes {
+    pub fn bytes_needed(limits: BlockLimits) -> Bytes {
         Bytes((limits.vertex_count_max() * (12 + 24) + limits.triangle_count_max() * (6 + 8 + 2)) as u64)
     }
 

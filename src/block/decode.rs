@@ -35,7 +35,7 @@ impl DecodeScratch {
 
     /// What it allocates, for the memory budget (I1). All at once, but for the state of zstd, which comes with the first
     /// block that needs it.
-    pub fn bytes_for(limits: BlockLimits) -> Bytes {
+    pub fn bytes_needed(limits: BlockLimits) -> Bytes {
         let per_vertex = 3 * size_of::<u32>() + size_of::<Parents>();
         let per_triangle = 3 * size_of::<u16>();
         let vertices = per_vertex * limits.vertex_count_max() + size_of::<Parents>();

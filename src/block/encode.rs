@@ -21,7 +21,7 @@ pub struct EncodeScratch {
 }
 
 impl EncodeScratch {
-    /// Memory for blocks inside `limits`. The rest grows with the first blocks, up to [`EncodeScratch::bytes_for`].
+    /// Memory for blocks inside `limits`. The rest grows with the first blocks, up to [`EncodeScratch::bytes_needed`].
     pub fn with_limits(limits: BlockLimits) -> EncodeScratch {
         EncodeScratch {
             payload: Vec::with_capacity(payload_bytes_max(limits)),
@@ -34,7 +34,7 @@ impl EncodeScratch {
 
     /// At most what it allocates, with the output of one block, for the memory budget (I1). The compressors of LZO and
     /// zstd take up to another MiB at their first block.
-    pub fn bytes_for(limits: BlockLimits) -> Bytes {
+    pub fn bytes_needed(limits: BlockLimits) -> Bytes {
         let payload = payload_bytes_max(limits);
         let stored = BLOCK_HEADER_BYTES + lz4_flex::block::get_maximum_output_size(payload);
         // Vectors double as they grow, so each may hold twice what it needs.

@@ -87,7 +87,7 @@ impl FreeSlot {
 
 impl<S: Primitives> Arena<S> {
     /// Bytes that [`Arena::new`] allocates, or `None` if no machine has so many.
-    pub(super) fn footprint(slot_count: u32, slot_bytes: usize, block_count: u32) -> Option<u64> {
+    pub(super) fn bytes_needed(slot_count: u32, slot_bytes: usize, block_count: u32) -> Option<u64> {
         let words = u64::from(block_count).checked_mul(size_of::<S::Word>() as u64)?;
         (Self::layout(slot_count, slot_bytes)?.size() as u64).checked_add(words)
     }

@@ -51,8 +51,8 @@ impl Policy {
         }
     }
 
-    /// [`SlotCache::footprint`] with this policy.
-    pub fn footprint(self, slot_count: u32, slot_bytes: Bytes, block_count: u32) -> Bytes {
+    /// [`SlotCache::bytes_needed`] with this policy.
+    pub fn bytes_needed(self, slot_count: u32, slot_bytes: Bytes, block_count: u32) -> Bytes {
         self.with(Footprint { slot_count, slot_bytes, block_count })
     }
 
@@ -83,7 +83,7 @@ impl WithPolicy for Footprint {
     type Output = Bytes;
 
     fn run<P: ReplacementPolicy + Default>(self) -> Bytes {
-        SlotCache::<P>::footprint(self.slot_count, self.slot_bytes, self.block_count)
+        SlotCache::<P>::bytes_needed(self.slot_count, self.slot_bytes, self.block_count)
     }
 }
 

@@ -41,7 +41,7 @@ impl<P: ReplacementPolicy> SlotCache<P> {
     /// With fewer slots than the threads pin at once, [`GeometryCache::pin`] can fail; with none it always does.
     ///
     /// # Errors
-    /// [`BudgetError`] if the budget, or the operating system, does not have [`SlotCache::footprint`] bytes left.
+    /// [`BudgetError`] if the budget, or the operating system, does not have [`SlotCache::bytes_needed`] bytes left.
     pub fn new(
         slot_count: u32,
         slot_bytes: Bytes,
@@ -49,11 +49,11 @@ impl<P: ReplacementPolicy> SlotCache<P> {
         policy: P,
         budget: &MemoryBudget,
     ) -> Result<SlotCache<P>, BudgetError> {
-        let footprint = Self::footprint(slot_count, slot_bytes, block_count);
-        let reservation = budget.reserve(footprint, "the geometry cache")?;
+        let bytes_needed = Self::bytes_needed(slot_count, slot_bytes, block_count);
+        let reservation = budget.reserve(bytes_needed, "the geometry cache")?;
         let refused = BudgetError {
             purpose: "the geometry cache (the operating system refuses the memory)",
-            needed: footprint,
+            needed: bytes_needed,
             available: Bytes(0),
             limit: budget.limit(),
         };
@@ -64,9 +64,9 @@ impl<P: ReplacementPolicy> SlotCache<P> {
     }
 
     /// What [`SlotCache::new`] takes from the budget: slots, table and policy. `u64::MAX` if no machine has so much.
-    pub fn footprint(slot_count: u32, slot_bytes: Bytes, block_count: u32) -> Bytes {
+    pub fn bytes_needed(slot_count: u32, slot_bytes: Bytes, block_count: u32) -> Bytes {
         let bytes = stride(slot_bytes)
-            .and_then(|stride| Table::<P, Native>::footprint(slot_count, stride, block_count));
+            .and_then(|stride| Table::<P, Native>::bytes_needed(slot_count, stride, block_count));
         Bytes(bytes.unwrap_or(u64::MAX))
     }
 

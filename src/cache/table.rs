@@ -53,9 +53,9 @@ struct Ledger<P> {
 
 impl<P: ReplacementPolicy, S: Primitives> Table<P, S> {
     /// Bytes that [`Table::new`] allocates, or `None` if no machine has so many.
-    pub(super) fn footprint(slot_count: u32, slot_bytes: usize, block_count: u32) -> Option<u64> {
+    pub(super) fn bytes_needed(slot_count: u32, slot_bytes: usize, block_count: u32) -> Option<u64> {
         let per_slot = (size_of::<FreeSlot>() + size_of::<BlockId>()) as u64 + P::BYTES_PER_SLOT;
-        Arena::<S>::footprint(slot_count, slot_bytes, block_count)?
+        Arena::<S>::bytes_needed(slot_count, slot_bytes, block_count)?
             .checked_add(u64::from(slot_count).checked_mul(per_slot)?)
     }
 

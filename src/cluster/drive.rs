@@ -650,7 +650,7 @@ impl Engine<'_> {
         if remote.has_copy() {
             return None;
         }
-        match options.budget.reserve(FileCopy::memory_bytes(remote.model()), "a copy of the file") {
+        match options.budget.reserve(FileCopy::bytes_needed(remote.model()), "a copy of the file") {
             Ok(memory) => Some((FileCopy::new(Arc::clone(remote.model()), copy.clone()), memory)),
             Err(error) => {
                 (self.log)(&format!("{error}; going on without a copy"));

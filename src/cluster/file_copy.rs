@@ -121,7 +121,7 @@ impl From<SourceError> for Trouble {
 
 impl FileCopy {
     /// Most memory that a copy of this model takes, beside the model: a piece of the file, and while the result is checked, its directory.
-    pub fn memory_bytes(model: &Model) -> Bytes {
+    pub fn bytes_needed(model: &Model) -> Bytes {
         let piece = u64::from(RANGE_BYTES_MAX).max(model.stored_bytes_max().0);
         Bytes(piece + 160 * model.blocks.len() as u64 + (1 << 20))
     }

@@ -80,14 +80,14 @@ impl<P: Point> BlockMaker<P> {
     }
 
     /// Memory that making the blocks of a bucket of these counts takes at most, its own and the output's.
-    pub(super) fn bytes_for(limits: BlockLimits, triangles: u64, vertices: u64) -> u64 {
+    pub(super) fn bytes_needed(limits: BlockLimits, triangles: u64, vertices: u64) -> u64 {
         let per_triangle = size_of::<Box4<P::Real>>() as u64 + 3 * 4;
         let output = triangles * 10 + vertices * size_of::<P>() as u64;
         let block = u64::from(limits.block_bytes_max) * 8;
         triangles * per_triangle
             + vertices * 4
             + output
-            + EncodeScratch::bytes_for(limits).0
+            + EncodeScratch::bytes_needed(limits).0
             + block
             + (1 << 20)
     }

@@ -50,7 +50,7 @@ impl<P: Point> Bucket<P> {
     }
 
     /// Memory that a bucket of these counts takes at most.
-    pub(super) fn bytes_for(triangles: u64, vertices: u64) -> u64 {
+    pub(super) fn bytes_needed(triangles: u64, vertices: u64) -> u64 {
         let table = 4 * (vertices + vertices / 3 + 1).next_power_of_two();
         vertices * size_of::<P>() as u64 + table + triangles * (12 + 8 + 2) + (256 << 10)
     }

@@ -557,8 +557,8 @@ impl<'p> Compiler<'p> {
             triangles = triangles.max(triangle_count(chunks));
             vertices = vertices.max(chunks.iter().map(|chunk| u64::from(chunk.vertices)).sum());
         }
-        let worker_bytes = Bucket::<P>::bytes_for(triangles, vertices)
-            + BlockMaker::<P>::bytes_for(limits, triangles, vertices);
+        let worker_bytes = Bucket::<P>::bytes_needed(triangles, vertices)
+            + BlockMaker::<P>::bytes_needed(limits, triangles, vertices);
         let mut memory = vec![self.budget.reserve(Bytes(worker_bytes), "cutting a bucket")?];
         let mut workers = vec![first];
         let threads = self.pool.as_ref().map_or(1, |pool| pool.current_num_threads());

@@ -65,7 +65,7 @@ impl<P: Point> Gather<P> {
         headroom: u64,
     ) -> Result<Gather<P>, BudgetError> {
         let per_triangle = (size_of::<[u32; 3]>() + 3 * size_of::<P>()) as u64;
-        let ranks_bytes = Ranks::bytes_for(vertex_count);
+        let ranks_bytes = Ranks::bytes_needed(vertex_count);
         let spare = budget.available().0.saturating_sub(headroom + ranks_bytes);
         let capacity = (spare / per_triangle).max(BATCH_TRIANGLES_MIN);
         let memory =
@@ -176,7 +176,7 @@ struct Ranks {
 }
 
 impl Ranks {
-    fn bytes_for(vertex_count: usize) -> u64 {
+    fn bytes_needed(vertex_count: usize) -> u64 {
         vertex_count.div_ceil(64) as u64 * 12
     }
 

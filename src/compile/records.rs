@@ -25,7 +25,7 @@ impl ChunkRecords {
     }
 
     /// Memory of a list of `count` records at most.
-    pub(super) fn bytes_for(count: u64) -> u64 {
+    pub(super) fn bytes_needed(count: u64) -> u64 {
         (count + count / 8 + STEP as u64) * size_of::<ChunkRecord>() as u64
     }
 

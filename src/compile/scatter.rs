@@ -98,7 +98,7 @@ fn buffer_bytes(count: usize, capacity: usize) -> usize {
 
 /// The list of the chunks of so many triangles: up to two for each full buffer, as buffers are written before they are full, too.
 fn list_bytes(count: usize, capacity: usize, triangles: u64) -> u64 {
-    ChunkRecords::bytes_for(2 * (triangles / capacity as u64) + count as u64)
+    ChunkRecords::bytes_needed(2 * (triangles / capacity as u64) + count as u64)
 }
 
 /// What a [`Scatter`] of so many triangles needs of the budget, its spill apart, if its buffers may take `share` bytes: for them, and for

@@ -90,7 +90,7 @@ impl Instances {
     ) -> Result<Instances, InstanceError> {
         // For what is known of the instances, beside the octrees.
         let materials: u64 = sources.iter().map(|source| material_bytes(source.model())).sum();
-        let own = budget.reserve(Bytes(bytes_for(instances.len()) + materials), "instances")?;
+        let own = budget.reserve(Bytes(bytes_needed(instances.len()) + materials), "instances")?;
         let mut octrees = Vec::with_capacity(sources.len());
         for (model, source) in sources.iter().enumerate() {
             let failed = |error| InstanceError::Model { model, error };
@@ -172,7 +172,7 @@ impl Instances {
             let (count, most) = (instances.len() as u64, Self::COUNT_MAX as u64);
             return Err(InstanceError::TooMany { what: "instances", count, most });
         }
-        let memory = self.budget.reserve(Bytes(bytes_for(instances.len())), "instances")?;
+        let memory = self.budget.reserve(Bytes(bytes_needed(instances.len())), "instances")?;
         let bounds_of = |model: usize| self.octrees.get(model).map(|octree| octree.model().bounds);
         let placed = ready(&instances, bounds_of).collect::<Result<Vec<_>, _>>()?;
         let boxes: Vec<Aabb> = placed.iter().map(|placed| placed.bounds).collect();
@@ -298,7 +298,7 @@ fn ready(
 }
 
 /// What is known of so many instances, and what making it takes.
-fn bytes_for(count: usize) -> u64 {
+fn bytes_needed(count: usize) -> u64 {
     let each = size_of::<Instance>() + size_of::<Placed>() + size_of::<Aabb>() + size_of::<Option<Motion>>();
     (count * each) as u64 + Tree::bytes(count)
 }

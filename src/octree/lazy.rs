@@ -92,8 +92,8 @@ impl LazyOctree {
         };
         let slot_count = slots_of(expanded);
         if slot_count < slots_least {
-            let footprint = options.policy.footprint(slots_least, parts.slot_bytes(expanded), block_count);
-            let needed = footprint.0.saturating_add(aside);
+            let least = options.policy.bytes_needed(slots_least, parts.slot_bytes(expanded), block_count);
+            let needed = least.0.saturating_add(aside);
             return Err(TraceError::Budget(BudgetError {
                 purpose: "one cache slot and the scratch of each tracer",
                 needed: Bytes(needed),
@@ -255,8 +255,8 @@ pub(crate) fn tracer_bytes_about(model: &Model) -> Bytes {
 fn bytes_with_buffer(model: &Model, buffer: u64) -> Bytes {
     let limits = model.limits;
     Bytes(
-        DecodeScratch::bytes_for(limits).0
-            + BlockData::bytes_for(limits).0
+        DecodeScratch::bytes_needed(limits).0
+            + BlockData::bytes_needed(limits).0
             + buffer
             + BuildScratch::bytes(limits.triangle_count_max(), limits.vertex_count_max())
             // Stacks, pins, hits that wait and the struct itself.
@@ -359,8 +359,8 @@ fn scale_of(model: &Model) -> f64 {
 
 /// How many slots of `slot_bytes`, with the table over `block_count` blocks, fit in `available` bytes.
 fn slots_that_fit(available: u64, slot_bytes: Bytes, block_count: u32, policy: Policy) -> u32 {
-    let fits = |count: u32| policy.footprint(count, slot_bytes, block_count).0 <= available;
-    // The footprint grows with the count: search for the last that fits.
+    let fits = |count: u32| policy.bytes_needed(count, slot_bytes, block_count).0 <= available;
+    // What is needed grows with the count: search for the last that fits.
     let (mut fitting, mut beyond) = (0u32, block_count.saturating_add(1));
     while beyond - fitting > 1 {
         let middle = fitting + (beyond - fitting) / 2;

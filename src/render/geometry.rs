@@ -101,7 +101,7 @@ impl<'m> Surfaces<'m> {
         let with_attributes: Vec<_> =
             self.models.iter().filter(|model| !model.attributes.is_empty()).collect();
         let share = Bytes(share.0 / with_attributes.len().max(1) as u64);
-        let bytes = with_attributes.iter().map(|model| AttributeCache::footprint(model, share, readers).0);
+        let bytes = with_attributes.iter().map(|model| AttributeCache::bytes_needed(model, share, readers).0);
         Bytes(bytes.sum())
     }
 }

@@ -424,7 +424,7 @@ fn detail_bytes(stage: &Stage, scene: &Scene, surfaces: &Surfaces<'_>, readers: 
         bytes += surfaces.attribute_bytes(attribute_share, readers).0;
     }
     if let Some(textures) = stage.textures_to_open(scene) {
-        bytes += TextureCache::footprint(&textures, texture_share, readers).0;
+        bytes += TextureCache::bytes_needed(&textures, texture_share, readers).0;
     }
     Bytes(bytes)
 }

@@ -38,7 +38,7 @@ impl TextureCache {
     /// there are tiles.
     ///
     /// # Errors
-    /// [`BudgetError`] if the budget does not hold [`TextureCache::footprint`].
+    /// [`BudgetError`] if the budget does not hold [`TextureCache::bytes_needed`].
     pub fn open(
         textures: Arc<Textures>,
         share: Bytes,
@@ -58,9 +58,9 @@ impl TextureCache {
     }
 
     /// What [`TextureCache::open`] takes from the budget.
-    pub fn footprint(textures: &Textures, share: Bytes, readers: u32) -> Bytes {
+    pub fn bytes_needed(textures: &Textures, share: Bytes, readers: u32) -> Bytes {
         let slots = slot_count(textures, share, readers);
-        let slots = SlotCache::<Lru>::footprint(slots, Bytes(TILE_BYTES as u64), textures.tile_count());
+        let slots = SlotCache::<Lru>::bytes_needed(slots, Bytes(TILE_BYTES as u64), textures.tile_count());
         Bytes(slots.0.saturating_add(own_bytes(textures)))
     }
 

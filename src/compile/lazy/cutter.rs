@@ -36,10 +36,10 @@ impl Cutter {
     }
 
     /// Memory that cutting any of `cells` takes at most.
-    pub fn bytes_for(settings: BlockSettings, cells: &[CellRecord]) -> u64 {
+    pub fn bytes_needed(settings: BlockSettings, cells: &[CellRecord]) -> u64 {
         fn of<P: Point>(settings: BlockSettings, triangles: u64, vertices: u64) -> u64 {
-            Bucket::<P>::bytes_for(triangles, vertices)
-                + BlockMaker::<P>::bytes_for(settings.limits, triangles, vertices)
+            Bucket::<P>::bytes_needed(triangles, vertices)
+                + BlockMaker::<P>::bytes_needed(settings.limits, triangles, vertices)
                 // The blocks once more, as a record of the log.
                 + triangles * 10
                 + vertices * size_of::<P>() as u64

@@ -286,7 +286,7 @@ impl LazyModel {
         let blocks = model.expected_block_count() as usize;
         let directory = Bytes(CellEntry::directory_bytes(blocks + blocks / 2));
         let allowance = Allowance::new(budget, directory, "the directory of a lazy compile")?;
-        let cutter_bytes = Bytes(Cutter::bytes_for(settings, records));
+        let cutter_bytes = Bytes(Cutter::bytes_needed(settings, records));
         let mut idle = Vec::new();
         // Most of the budget is for the cache, whoever asks for how many.
         let fitting = (budget.limit().0 / 4 / cutter_bytes.0.max(1)).max(1);
