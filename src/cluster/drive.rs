@@ -752,8 +752,9 @@ fn serve(
     while let Ok(region) = regions.recv() {
         let (start, before) = (Instant::now(), work(&renderer.counters().trace));
         let Some(pixels) = renderer.render(region)?.map(<[_]>::to_vec) else { return Ok(()) };
+        let blocks = renderer.take_touched();
         let work = work(&renderer.counters().trace) - before;
-        let event = WorkerEvent::Rendered { lane, pixels, time: start.elapsed(), work };
+        let event = WorkerEvent::Rendered { lane, pixels, time: start.elapsed(), work, blocks };
         if events.send(event).is_err() {
             return Ok(());
         }

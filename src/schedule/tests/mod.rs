@@ -9,6 +9,7 @@ use proptest::prelude::*;
 
 use self::world::{World, event};
 use super::*;
+use crate::access::BlockSketch;
 use crate::error::ScheduleError;
 use crate::units::{LeaseId, TileId, WorkerId};
 
@@ -21,15 +22,16 @@ fn all_options() -> impl Strategy<Value = SchedulerOptions> {
         3 => Just(TilePolicy::Curve),
     ];
     let sides = prop_oneof![Just((64, 8)), Just((32, 32)), Just((16, 4)), Just((8, 4))];
-    let switches = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
+    let switches = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
     let numbers = (1u32..20, 1u32..5, prop_oneof![Just(0.0), 0.0..1.0]);
     (policies, sides, switches, numbers).prop_map(|(policy, (tile_side, cell_side), switches, numbers)| {
-        let (critical_time, take_over, learn_speeds, five) = switches;
+        let (critical_time, take_over, learn_speeds, five, held) = switches;
         let (expected_workers, leases_in_hand_max, share_of_rest) = numbers;
         SchedulerOptions {
             tile_side,
             cell_side,
             policy,
+            piece_choice: if held { PieceChoice::Held } else { PieceChoice::Near },
             tiles_per_worker: if five { 5 } else { 0 },
             share_of_rest,
             critical_time,
@@ -86,6 +88,7 @@ fn what_cannot_be_is_refused() {
         cells: TileCells { tile: TileId(tile), cells },
         is_last: true,
         spent: Spent { seconds: f64::NAN, work: f64::INFINITY },
+        blocks: BlockSketch::default(),
     };
     let tiles = scheduler.grid().tile_count();
     for bad in [result(tiles, 1), result(u32::MAX, 0b11), result(tiles - 1, !0)] {

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use outcrop::MemoryBudget;
 use outcrop::cluster::{Action, Coordinator, CoordinatorOptions, Record, RemoteCounters, RoleOptions};
-use outcrop::schedule::SchedulerOptions;
+use outcrop::schedule::{PieceChoice, SchedulerOptions};
 use outcrop::source::testing::FaultRates;
 use outcrop::transport::{LinkModel, SimNetwork, SimTransport, Transport, TransportEvent};
 use outcrop::units::Bytes;
@@ -19,8 +19,10 @@ use self::reader::{ReaderTotals, SimReader, Troubles};
 use self::worker::{Fetched, SimWorker};
 use super::numbers::Random;
 
-fn options(readers: usize) -> CoordinatorOptions {
+fn options(readers: usize, choice: PieceChoice) -> CoordinatorOptions {
     let mut schedule = SchedulerOptions::new(3);
+    // Which piece is taken over must not show; half of the runs have each way.
+    schedule.piece_choice = choice;
     schedule.lease_min = Duration::from_secs(15);
     CoordinatorOptions { roles: roles(), schedule, readers }
 }
@@ -40,14 +42,19 @@ struct SimCoordinator {
     restarts: u32,
     /// Readers over which blocks are shared out.
     readers: usize,
+    choice: PieceChoice,
 }
 
 impl SimCoordinator {
     fn start(&mut self, network: &SimNetwork) {
         let budget = MemoryBudget::new(Bytes::mib(4));
-        let coordinator =
-            Coordinator::restore(picture::job(), options(self.readers), self.disk.iter().cloned(), &budget)
-                .unwrap();
+        let coordinator = Coordinator::restore(
+            picture::job(),
+            options(self.readers, self.choice),
+            self.disk.iter().cloned(),
+            &budget,
+        )
+        .unwrap();
         self.alive = Some((network.open("coordinator"), coordinator));
         self.unsafe_records.clear();
     }
@@ -200,6 +207,7 @@ fn run(seed: u64) -> Outcome {
         back_at: Duration::ZERO,
         restarts: 0,
         readers: shares,
+        choice: [PieceChoice::Near, PieceChoice::Held][(seed % 2) as usize],
     };
     coordinator.start(&network);
     let mut workers: Vec<SimWorker> = (0..1 + random.below(5) as usize)

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use outcrop::BlockSource;
+use outcrop::access::BlockSketch;
 use outcrop::cluster::{
     Action, BlockClient, Message, Need, OwnFile, RemoteCounters, RemoteOptions, Worker, WorkerAction,
     WorkerEvent,
@@ -162,7 +163,10 @@ impl SimWorker {
             let time = Duration::from_secs_f64(self.slowness * lane.region.pixels() as f64);
             let work = lane.region.pixels() as f64;
             let pixels = picture::pixels(lane.region, &lane.digests);
-            events.push_back(WorkerEvent::Rendered { lane: lane.lane, pixels, time, work });
+            let mut blocks = BlockSketch::default();
+            let count = picture::file().model().blocks.len() as u32;
+            lane.digests.keys().for_each(|block| blocks.add(BlockId(*block), count));
+            events.push_back(WorkerEvent::Rendered { lane: lane.lane, pixels, time, work, blocks });
         }
         let mut actions = Vec::new();
         if now >= self.next_tick {
