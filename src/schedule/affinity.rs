@@ -83,17 +83,17 @@ impl Affinity {
         ((row >> shift) * self.levels[level as usize].columns + (column >> shift)) as usize
     }
 
-    /// Which part of the blocks that a tile is likely to need the worker is likely to hold, 0 to 1; 0 if nothing is known about the
-    /// neighbourhood.
-    pub fn likelihood(&self, slot: u32, grid: &ImageGrid, tile: TileId) -> f64 {
-        let Some(held) = self.workers.get(slot as usize) else { return 0.0 };
+    /// Which part of the blocks that a tile is likely to need the worker is likely to hold, 0 to 1; none if nothing is known about the
+    /// neighbourhood, or about the worker.
+    pub fn likelihood(&self, slot: u32, grid: &ImageGrid, tile: TileId) -> Option<f64> {
+        let held = self.workers.get(slot as usize)?;
         let at = grid.place(tile);
         // The smallest square around it of which anything is done.
         let needed = (0..LEVELS).map(|level| &self.levels[level as usize].needed[self.index(level, at)]);
-        let Some(needed) = needed.into_iter().find(|needed| !needed.is_empty()) else { return 0.0 };
+        let needed = needed.into_iter().find(|needed| !needed.is_empty())?;
         let mut all = held.now;
         all.merge(&held.before);
-        f64::from(needed.common(&all)) / f64::from(needed.count())
+        Some(f64::from(needed.common(&all)) / f64::from(needed.count()))
     }
 }
 
@@ -111,33 +111,33 @@ mod tests {
     #[test]
     fn a_worker_holds_what_it_touched_last() {
         // The second image has regions of several tiles.
-        for (side, tile) in [(512, 64), (4096, 8)] {
-            let grid = ImageGrid::new(side, side, tile, 8.min(tile)).unwrap();
+        for (side, tile) in [(2048, 64), (4096, 8)] {
+            let grid = ImageGrid::new(side, side, tile, 8).unwrap();
             let tiles = grid.tile_count();
             let mut affinity = Affinity::new(&grid);
             affinity.join(0);
             affinity.join(3);
             let (here, far) = (TileId(0), TileId(tiles - 1));
-            assert_eq!(affinity.likelihood(0, &grid, here), 0.0);
+            assert_eq!(affinity.likelihood(0, &grid, here), None);
             affinity.record(Some(0), &grid, here, &sketch(0..8));
             affinity.record(Some(3), &grid, here, &sketch(4..16));
             // Of the sixteen that are needed here.
-            assert_eq!(affinity.likelihood(0, &grid, here), 0.5);
-            assert_eq!(affinity.likelihood(3, &grid, here), 0.75);
-            assert_eq!(affinity.likelihood(3, &grid, TileId(1)), 0.75, "the neighbour is like it");
-            assert_eq!(affinity.likelihood(3, &grid, far), 0.0);
+            assert_eq!(affinity.likelihood(0, &grid, here), Some(0.5));
+            assert_eq!(affinity.likelihood(3, &grid, here), Some(0.75));
+            assert_eq!(affinity.likelihood(3, &grid, TileId(1)), Some(0.75), "the neighbour is like it");
+            assert_eq!(affinity.likelihood(3, &grid, far), None);
             // One that never came, and one that came anew.
-            assert_eq!(affinity.likelihood(7, &grid, here), 0.0);
+            assert_eq!(affinity.likelihood(7, &grid, here), None);
             affinity.join(3);
-            assert_eq!(affinity.likelihood(3, &grid, here), 0.0);
+            assert_eq!(affinity.likelihood(3, &grid, here), Some(0.0));
             // Results of nobody tell about the image only; results without blocks tell nothing.
             affinity.record(None, &grid, far, &sketch(4..5));
             affinity.record(Some(0), &grid, far, &sketch([]));
-            assert_eq!(affinity.likelihood(0, &grid, far), 1.0);
+            assert_eq!(affinity.likelihood(0, &grid, far), Some(1.0));
             for _ in 0..2 * RESULTS {
                 affinity.record(Some(0), &grid, far, &sketch(100..110));
             }
-            assert_eq!(affinity.likelihood(0, &grid, here), 0.0, "it is long gone");
+            assert_eq!(affinity.likelihood(0, &grid, here), Some(0.0), "it is long gone");
         }
     }
 }

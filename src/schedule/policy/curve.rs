@@ -158,7 +158,8 @@ impl CurvePolicy {
                 let Piece { next, end, .. } = self.pieces[piece as usize];
                 // In the middle of what would be taken over.
                 let tile = TileId(((next + (end - next) / 4 * 3) / self.cells_per_tile) as u32);
-                8 - (8.0 * affinity.likelihood(view.slot, view.grid(), tile)) as u32
+                let likelihood = affinity.likelihood(view.slot, view.grid(), tile).unwrap_or(0.0);
+                8 - (8.0 * likelihood) as u32
             }
             None => 0,
         };
