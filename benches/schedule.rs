@@ -5,12 +5,21 @@ use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use outcrop::TileScheduler;
+use outcrop::access::BlockSketch;
 use outcrop::schedule::parts::PartOptions;
 use outcrop::schedule::{
-    AdaptiveScheduler, Answer, Assignment, CentralPoints, ImageGrid, PartScheduler, SchedulerOptions, Spent,
-    SubScheduler, TilePolicy, TileResult,
+    AdaptiveScheduler, Answer, Assignment, CentralPoints, ImageGrid, PartScheduler, PieceChoice,
+    SchedulerOptions, Spent, SubScheduler, TilePolicy, TileResult,
 };
-use outcrop::units::{SubCoordinatorId, WorkerId};
+use outcrop::units::{BlockId, SubCoordinatorId, TileId, WorkerId};
+
+/// Blocks of a tile: a dozen of its own, and some that are everywhere.
+fn blocks_of(tile: TileId) -> BlockSketch {
+    let mut blocks = BlockSketch::default();
+    let own = tile.0 % 3000..tile.0 % 3000 + 12;
+    own.chain([3500, 3800]).for_each(|block| blocks.add(BlockId(block), 4000));
+    blocks
+}
 
 /// A render under way: every worker holds one assignment.
 struct Render {
@@ -23,8 +32,8 @@ struct Render {
 }
 
 impl Render {
-    fn new(policy: TilePolicy, workers: usize) -> Render {
-        let options = SchedulerOptions { policy, ..SchedulerOptions::new(workers as u32) };
+    fn new((policy, piece_choice): (TilePolicy, PieceChoice), workers: usize) -> Render {
+        let options = SchedulerOptions { policy, piece_choice, ..SchedulerOptions::new(workers as u32) };
         let scheduler = AdaptiveScheduler::new(4096, 4096, options).expect("valid options");
         let mut render =
             Render { scheduler, held: vec![None; workers], now: Duration::ZERO, worker: 0, fresh: 0 };
@@ -44,7 +53,7 @@ impl Render {
         if let Some(Assignment { lease, cells, .. }) = self.held[self.worker].take() {
             let work = f64::from(cells.count()) * 1e-3 * (1.0 + f64::from(cells.tile.0 % 17));
             let spent = Spent { seconds: work, work };
-            let result = TileResult { lease, cells, is_last: true, spent };
+            let result = TileResult { lease, cells, is_last: true, spent, blocks: blocks_of(cells.tile) };
             let receipt = self.scheduler.complete(worker, &result, self.now).expect("cells of the image");
             self.fresh += u64::from(receipt.fresh.count());
         }
@@ -111,7 +120,13 @@ impl TwoLevels {
         let sub = &mut self.subs[number];
         if let Some(Assignment { lease, cells, .. }) = self.held[self.worker].take() {
             let work = f64::from(cells.count()) * 1e-3 * (1.0 + f64::from(cells.tile.0 % 17));
-            let result = TileResult { lease, cells, is_last: true, spent: Spent { seconds: work, work } };
+            let result = TileResult {
+                lease,
+                cells,
+                is_last: true,
+                spent: Spent { seconds: work, work },
+                blocks: blocks_of(cells.tile),
+            };
             sub.complete(worker, &result, self.now).expect("cells of the image");
         }
         let answer = sub.request(worker, self.now).expect("it joined");
@@ -154,10 +169,11 @@ fn two_levels(criterion: &mut Criterion) {
 fn decisions(criterion: &mut Criterion) {
     let even = CentralPoints::Even;
     let policies = [
-        ("curve", TilePolicy::Curve),
-        ("nearest", TilePolicy::Nearest(even)),
-        ("trade-off", TilePolicy::TradeOff { points: even, weight: 0.5 }),
-        ("rows", TilePolicy::Rows),
+        ("curve", (TilePolicy::Curve, PieceChoice::Near)),
+        ("curve, held blocks", (TilePolicy::Curve, PieceChoice::Held)),
+        ("nearest", (TilePolicy::Nearest(even), PieceChoice::Near)),
+        ("trade-off", (TilePolicy::TradeOff { points: even, weight: 0.5 }, PieceChoice::Near)),
+        ("rows", (TilePolicy::Rows, PieceChoice::Near)),
     ];
     for (name, policy) in policies {
         for workers in [6, 1000, 10_000] {

@@ -36,6 +36,7 @@ simulate_cluster: the real scheduler over measured costs and a model of network,
     --samples N       samples per pixel: every cost times N (64)
     --workers LIST    numbers of workers (2,6,64,1024,10000)
     --levels          only the tables of one and of two levels of coordinators
+    --pieces          only the tables of which piece of the curve an idle worker takes over
     --quick           a small setting that only shows that all of it runs
 ";
 
@@ -48,6 +49,7 @@ struct Options {
     samples: u32,
     workers: Vec<u32>,
     only_levels: bool,
+    only_pieces: bool,
 }
 
 fn main() -> ExitCode {
@@ -63,6 +65,7 @@ fn parse(mut arguments: Arguments) -> Result<Option<Options>, Box<dyn Error>> {
         samples: 64,
         workers: vec![2, 6, 64, 1024, 10_000],
         only_levels: false,
+        only_pieces: false,
     };
     while let Some(name) = arguments.option()? {
         match name.as_str() {
@@ -75,6 +78,7 @@ fn parse(mut arguments: Arguments) -> Result<Option<Options>, Box<dyn Error>> {
                 options.workers = arguments.number_list()?.iter().map(|count| *count as u32).collect();
             }
             "--levels" => options.only_levels = true,
+            "--pieces" => options.only_pieces = true,
             "--quick" => {
                 let workers = vec![2, 6, 64];
                 options = Options { n: 1, size: 512, traced: 128, cell: 8, samples: 16, workers, ..options };
@@ -108,6 +112,12 @@ fn run(arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
             options.size,
             options.samples
         );
+        if options.only_pieces {
+            tables::piece_choices(&costs, &options.workers)?;
+            drop(costs);
+            tables::loads(&self::costs(scene, &options, AccessDetail::Sequence)?)?;
+            continue;
+        }
         if !options.only_levels {
             tables::by_workers(&costs, &options.workers)?;
             tables::ingredients(&costs, &options.workers)?;

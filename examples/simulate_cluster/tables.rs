@@ -5,7 +5,7 @@ use std::error::Error;
 use outcrop::schedule::simulation::{
     ClusterModel, CostImage, Relays, SecondLevel, SimulationReport, sequential, simulate, simulate_two_levels,
 };
-use outcrop::schedule::{CentralPoints, SchedulerOptions, TilePolicy};
+use outcrop::schedule::{CentralPoints, PieceChoice, SchedulerOptions, TilePolicy};
 
 use crate::plain_scheduler::plain;
 
@@ -210,28 +210,62 @@ pub fn sub_coordinators(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dy
     Ok(())
 }
 
+/// Which piece is taken over: efficiency and loads, with small caches and with large ones.
+pub fn piece_choices(costs: &CostImage, workers: &[u32]) -> Result<(), Box<dyn Error>> {
+    let blocks = costs.blocks().len() as u32;
+    println!(
+        "\n| workers | cache of each | one machine, loads per touched block | efficiency %, near | held | loads / one machine's, near | held | loads per touched block, near | held |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    for share in [6, 25, 100] {
+        let model = ClusterModel { slots: Some((blocks * share).div_ceil(100)), ..ClusterModel::default() };
+        let alone = sequential(&model, costs);
+        let touched = alone.blocks_touched.max(1) as f64;
+        for workers in workers.iter().copied() {
+            let reports = [PieceChoice::Near, PieceChoice::Held].map(|piece_choice| {
+                let options = SchedulerOptions { piece_choice, ..SchedulerOptions::new(workers) };
+                run(costs, &model, options, workers)
+            });
+            let [near, held] = reports;
+            let (near, held) = (near?, held?);
+            println!(
+                "| {workers} | {share} % | {:.2} | {} | {} | {:.3} | {:.3} | {:.1} | {:.1} |",
+                alone.loads as f64 / touched,
+                percent(near.efficiency()),
+                percent(held.efficiency()),
+                near.loads_ratio(),
+                held.loads_ratio(),
+                near.loads as f64 / touched,
+                held.loads as f64 / touched
+            );
+        }
+    }
+    Ok(())
+}
+
 /// Loads of 6 workers with small caches over those of one machine with one such cache.
 pub fn loads(costs: &CostImage) -> Result<(), Box<dyn Error>> {
     const WORKERS: u32 = 6;
     let blocks = costs.blocks().len() as u32;
     println!("\nLoads of {WORKERS} workers over loads of one, {} x {0} pixels:\n", costs.grid().width());
     println!(
-        "| cache of each | one machine, loads per touched block | curve | nearest, even points | trade-off 0.5 | rows |"
+        "| cache of each | one machine, loads per touched block | curve | curve, held blocks | nearest, even points | trade-off 0.5 | rows |"
     );
-    println!("|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|");
     let even = CentralPoints::Even;
     let policies = [
-        TilePolicy::Curve,
-        TilePolicy::Nearest(even),
-        TilePolicy::TradeOff { points: even, weight: 0.5 },
-        TilePolicy::Rows,
+        (TilePolicy::Curve, PieceChoice::Near),
+        (TilePolicy::Curve, PieceChoice::Held),
+        (TilePolicy::Nearest(even), PieceChoice::Near),
+        (TilePolicy::TradeOff { points: even, weight: 0.5 }, PieceChoice::Near),
+        (TilePolicy::Rows, PieceChoice::Near),
     ];
     for share in [6, 25] {
         let model = ClusterModel { slots: Some((blocks * share).div_ceil(100)), ..ClusterModel::default() };
         let alone = sequential(&model, costs);
         let mut cells = Vec::new();
-        for policy in policies {
-            let options = SchedulerOptions { policy, ..SchedulerOptions::new(WORKERS) };
+        for (policy, piece_choice) in policies {
+            let options = SchedulerOptions { policy, piece_choice, ..SchedulerOptions::new(WORKERS) };
             cells.push(format!("{:.2}", run(costs, &model, options, WORKERS)?.loads_ratio()));
         }
         let per_block = alone.loads as f64 / alone.blocks_touched.max(1) as f64;

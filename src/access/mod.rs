@@ -11,12 +11,14 @@ mod curve;
 mod optimum;
 mod recorder;
 mod replay;
+mod sketch;
 mod trace;
 
 pub use curve::{MemoryNeed, MissRatioCurve};
 pub use optimum::optimum_loads;
 pub use recorder::{AccessLog, AccessRecorder};
 pub use replay::{ReplayCounts, replay, replay_with};
+pub use sketch::BlockSketch;
 pub use trace::{AccessQuery, AccessTrace};
 
 /// What kind of query entered the blocks.

@@ -1,7 +1,7 @@
 //! The coordinator's checkpoint: a file to which finished cells are added, each with its checksum.
 //!
 //! ```text
-//! header   "outckpt\n" | version (u32) = 1 | digest of the job (u64) | XXH3-64 of all before (u64)
+//! header   "outckpt\n" | version (u32) = 2 | digest of the job (u64) | XXH3-64 of all before (u64)
 //! record   length of the body (u32) | XXH3-64 of length and body (u64) | body
 //! body     0 | a scheduler's checkpoint        the coordinator started or was restarted
 //!          1 | a `Result` message              cells, and their pixels
@@ -28,7 +28,7 @@ pub enum Record {
 }
 
 const SIGNATURE: [u8; 8] = *b"outckpt\n";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEADER_BYTES: usize = 28;
 const RECORD_HEAD_BYTES: usize = 12;
 /// No record is longer: a frame, or eight bytes for each of 2^22 tiles.

@@ -165,7 +165,8 @@ impl Coordinator {
         let scheduler = AdaptiveScheduler::restore(&checkpoint, options.schedule)?;
         let mut coordinator = Coordinator::start(job, options, scheduler, budget)?;
         for frame in results {
-            let Ok((Message::Result { what, micros, work, .. }, pixels)) = Message::parse(&frame) else {
+            let Ok((Message::Result { what, micros, work, blocks, .. }, pixels)) = Message::parse(&frame)
+            else {
                 return Err(CoordinatorError::OtherPicture);
             };
             let cells = TileCells { tile: TileId(what.tile), cells: what.cells };
@@ -173,7 +174,7 @@ impl Coordinator {
                 return Err(CoordinatorError::OtherPicture);
             }
             let spent = Spent { seconds: micros as f64 * 1e-6, work };
-            let result = TileResult { lease: LeaseId(what.lease), cells, is_last: true, spent };
+            let result = TileResult { lease: LeaseId(what.lease), cells, is_last: true, spent, blocks };
             let receipt = coordinator.scheduler.complete(WorkerId(u64::MAX), &result, Duration::ZERO)?;
             let owner = coordinator.restored();
             coordinator.picture.take(cells, pixels, receipt.fresh.cells, owner);
@@ -394,17 +395,15 @@ impl Coordinator {
                 let worker = *lanes.get(usize::from(lane)).ok_or("it has no such lane")?;
                 self.ask(worker, actions)
             }
-            (Some(Member::Worker { lanes }), Message::Result { lane, what, is_last, micros, work }) => {
+            (
+                Some(Member::Worker { lanes }),
+                Message::Result { lane, what, is_last, micros, work, blocks },
+            ) => {
                 let worker = *lanes.get(usize::from(lane)).ok_or("it has no such lane")?;
-                self.result(
-                    worker,
-                    what,
-                    is_last,
-                    Spent { seconds: micros as f64 * 1e-6, work },
-                    micros,
-                    tail,
-                    actions,
-                )
+                let cells = TileCells { tile: TileId(what.tile), cells: what.cells };
+                let spent = Spent { seconds: micros as f64 * 1e-6, work };
+                let result = TileResult { lease: LeaseId(what.lease), cells, is_last, spent, blocks };
+                self.result(worker, &result, micros, tail, actions)
             }
             (Some(_), Message::Failed { reason }) => Err(format!("it cannot go on: {reason}")),
             (Some(_), _) => Err("a message that is not for a coordinator".to_owned()),
@@ -504,32 +503,28 @@ impl Coordinator {
         Ok(())
     }
 
-    #[allow(clippy::too_many_arguments)]
     fn result(
         &mut self,
         worker: WorkerId,
-        what: LeasedCells,
-        is_last: bool,
-        spent: Spent,
+        result: &TileResult,
         micros: u64,
         pixels: &[u8],
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        let cells = TileCells { tile: TileId(what.tile), cells: what.cells };
+        let cells = result.cells;
         if !self.picture.fits(cells, pixels) {
             return Err("it sent pixels that do not fit their cells".to_owned());
         }
-        let result = TileResult { lease: LeaseId(what.lease), cells, is_last, spent };
-        let receipt =
-            self.scheduler.complete(worker, &result, self.now).map_err(|error| error.to_string())?;
+        let receipt = self.scheduler.complete(worker, result, self.now).map_err(|error| error.to_string())?;
         self.counters.results += 1;
         self.counters.cells_repeated += u64::from(receipt.repeated);
         // Lanes are numbered as they stand in the list.
         let owner = worker.0 as u32;
         if !receipt.fresh.is_empty() {
             let kept = self.picture.take(cells, pixels, receipt.fresh.cells, owner);
-            let what = LeasedCells { cells: receipt.fresh.cells, ..what };
-            let part = Message::Result { lane: 0, what, is_last: true, micros, work: spent.work };
+            let what = LeasedCells { lease: result.lease.0, tile: cells.tile.0, cells: receipt.fresh.cells };
+            let TileResult { spent: Spent { work, .. }, blocks, .. } = *result;
+            let part = Message::Result { lane: 0, what, is_last: true, micros, work, blocks };
             self.records.push(Record::Result(part.frame_with(&kept)));
         }
         if self.spans.len() < SPANS_MAX && !cells.is_empty() {

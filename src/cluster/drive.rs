@@ -7,13 +7,14 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use super::block_client::{RemoteCounters, RemoteOptions};
 use super::checkpoint::Checkpoint;
 use super::coordinator::{Coordinator, CoordinatorError};
 use super::file_copy::{CopyCounters, CopyOptions, FileCopy};
 use super::message::Job;
 use super::model_file::model_key;
 use super::reader::{Reader, ReaderCounters};
-use super::remote_source::{RemoteCounters, RemoteOptions, RemoteSource};
+use super::remote_source::RemoteSource;
 use super::worker::{Worker, WorkerAction, WorkerCounters, WorkerEvent};
 use super::{Action, RoleOptions};
 use crate::budget::{MemoryBudget, Reservation};
@@ -751,8 +752,9 @@ fn serve(
     while let Ok(region) = regions.recv() {
         let (start, before) = (Instant::now(), work(&renderer.counters().trace));
         let Some(pixels) = renderer.render(region)?.map(<[_]>::to_vec) else { return Ok(()) };
+        let blocks = renderer.take_touched();
         let work = work(&renderer.counters().trace) - before;
-        let event = WorkerEvent::Rendered { lane, pixels, time: start.elapsed(), work };
+        let event = WorkerEvent::Rendered { lane, pixels, time: start.elapsed(), work, blocks };
         if events.send(event).is_err() {
             return Ok(());
         }

@@ -15,9 +15,9 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 
+use super::file_fetch::FileFetch;
 use super::message::RANGE_BYTES_MAX;
 use super::model_file::model_key;
-use super::remote_source::FileFetch;
 use crate::block::checksum;
 use crate::error::SourceError;
 use crate::model::Model;

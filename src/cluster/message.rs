@@ -6,11 +6,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::access::BlockSketch;
 use crate::render::RenderSettings;
 use crate::scene::Scene;
 
 /// The version of these messages; the first thing that a node says.
-pub const MESSAGE_VERSION: u16 = 4;
+pub const MESSAGE_VERSION: u16 = 5;
 
 /// What a node does in a cluster beside coordinating.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -120,6 +121,8 @@ pub enum Message {
         micros: u64,
         /// The same in units of work; see [`schedule`](crate::schedule).
         work: f64,
+        /// Which blocks they needed, roughly.
+        blocks: BlockSketch,
     },
     /// Worker to coordinator: it cannot go on. Others can.
     Failed {

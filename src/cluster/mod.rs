@@ -8,10 +8,12 @@
 //! Pictures are those of one machine, bit for bit (I2), whoever renders what and whoever dies. `docs/cluster.md` says how to run it,
 //! what survives what, and what goes over the wire.
 
+mod block_client;
 mod checkpoint;
 mod coordinator;
 mod drive;
 mod file_copy;
+mod file_fetch;
 mod hosts;
 mod message;
 mod model_file;
@@ -24,6 +26,7 @@ use std::time::Duration;
 
 use crate::transport::PeerId;
 
+pub use block_client::{BlockClient, Need, OwnFile, RemoteCounters, RemoteOptions};
 pub use checkpoint::{Checkpoint, Record};
 pub use coordinator::{
     Coordinator, CoordinatorCounters, CoordinatorError, CoordinatorOptions, LaneInfo, Span, map_colour,
@@ -37,7 +40,7 @@ pub use message::{
 };
 pub use model_file::{ModelFile, model_key, readers_of};
 pub use reader::{Reader, ReaderCounters};
-pub use remote_source::{RemoteCounters, RemoteOptions, RemoteSource};
+pub use remote_source::RemoteSource;
 pub use worker::{Worker, WorkerAction, WorkerCounters, WorkerEvent};
 
 /// What a role wants done.

@@ -7,6 +7,7 @@ use std::time::Duration;
 use super::message::{MESSAGE_VERSION, Message, Role, short};
 use super::model_file::{ModelFile, model_key};
 use super::{Action, RoleOptions};
+use crate::block::checksum;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::BudgetError;
 use crate::transport::{PeerId, TransportEvent};
@@ -34,7 +35,7 @@ pub struct ReaderCounters {
 /// The state machine of a reader: events in, actions out.
 ///
 /// Workers decide which blocks they ask which reader for (see [`readers_of`](super::readers_of)); a reader keeps what it was asked
-/// for, the latest first, within its memory. So each block that a picture needs is read from disk once in the whole
+/// for, as it should be and the latest first, within its memory. So each block that a picture needs is read from disk once in the whole
 /// cluster, as long as the readers' memories together hold it. A block that is asked for much more often than others is *hot*: those who
 /// get it are told to ask the readers in turn for it from then on, so that all come to hold it and share the work.
 pub struct Reader {
@@ -141,6 +142,11 @@ impl Reader {
         self.counters
     }
 
+    /// Bytes of the blocks in memory; at most what it was given.
+    pub fn held_bytes(&self) -> Bytes {
+        Bytes(self.held_bytes)
+    }
+
     /// Something happened.
     pub fn handle(&mut self, now: Duration, event: TransportEvent, actions: &mut Vec<Action>) {
         match event {
@@ -220,7 +226,11 @@ impl Reader {
         self.counters.blocks_from_disk += 1;
         self.counters.bytes_sent += self.buffer.len() as u64;
         let frame = Message::Block { block, turn: 0 }.frame_with(&self.buffer);
-        self.keep(block);
+        // What the disk gave is the worker's to judge; but one that is damaged would stay so in memory, and be given to all.
+        let entry = self.file.model().entry(BlockId(block));
+        if entry.is_some_and(|entry| checksum(&self.buffer) == entry.checksum) {
+            self.keep(block);
+        }
         frame
     }
 

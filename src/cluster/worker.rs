@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::message::{Job, LeasedCells, MESSAGE_VERSION, Message, Role, short};
 use super::picture::put_pixels;
 use super::{Action, RoleOptions};
+use crate::access::BlockSketch;
 use crate::render::Region;
 use crate::schedule::{ImageGrid, TileCells};
 use crate::transport::{PeerId, TransportEvent};
@@ -35,6 +36,8 @@ pub enum WorkerEvent {
         time: Duration,
         /// What it took in units of work; see [`schedule`](crate::schedule).
         work: f64,
+        /// Which blocks rays entered, roughly.
+        blocks: BlockSketch,
     },
 }
 
@@ -79,6 +82,7 @@ struct Held {
     ready: BTreeMap<u32, Vec<u8>>,
     ready_time: Duration,
     ready_work: f64,
+    ready_blocks: BlockSketch,
 }
 
 #[derive(Default)]
@@ -189,8 +193,8 @@ impl Worker {
                 self.send(now, message.frame(), actions);
                 self.failed = Some(reason);
             }
-            WorkerEvent::Rendered { lane, pixels, time, work } => {
-                self.rendered(lane, &pixels, time, work);
+            WorkerEvent::Rendered { lane, pixels, time, work, blocks } => {
+                self.rendered(lane, &pixels, time, work, &blocks);
                 self.go_on(now, actions);
             }
         }
@@ -306,6 +310,7 @@ impl Worker {
                     ready: BTreeMap::new(),
                     ready_time: Duration::ZERO,
                     ready_work: 0.0,
+                    ready_blocks: BlockSketch::default(),
                 });
                 self.go_on(now, actions);
                 Ok(())
@@ -361,7 +366,7 @@ impl Worker {
         }
     }
 
-    fn rendered(&mut self, lane: u16, pixels: &[[f32; 3]], time: Duration, work: f64) {
+    fn rendered(&mut self, lane: u16, pixels: &[[f32; 3]], time: Duration, work: f64, blocks: &BlockSketch) {
         let Some(grid) = &self.grid else { return };
         let Some(lane) = self.lanes.get_mut(usize::from(lane)) else { return };
         // A region of an earlier job is of no use.
@@ -383,6 +388,7 @@ impl Worker {
         held.spent += time;
         held.ready_time += time;
         held.ready_work += work;
+        held.ready_blocks.merge(blocks);
         self.counters.cells += u64::from(square.count());
         // Squares of a quarter or four times the size next time, if that is nearer to the wanted time.
         if time > 2 * self.square_time && lane.square_cells > 1 {
@@ -460,8 +466,9 @@ fn result(lane: u16, held: &mut Held, is_last: bool) -> Vec<u8> {
     let what = LeasedCells { lease: held.lease, tile: held.tile.0, cells };
     let micros = u64::try_from(std::mem::take(&mut held.ready_time).as_micros()).unwrap_or(u64::MAX);
     let work = std::mem::take(&mut held.ready_work);
+    let blocks = std::mem::take(&mut held.ready_blocks);
     let pixels: Vec<u8> = ready.into_values().flatten().collect();
-    Message::Result { lane, what, is_last, micros, work }.frame_with(&pixels)
+    Message::Result { lane, what, is_last, micros, work, blocks }.frame_with(&pixels)
 }
 
 impl std::fmt::Debug for Worker {

@@ -1,6 +1,7 @@
 //! What the renderer asks of geometry. [`Tracer`] answers from the octree; the tests' naive twin
 //! tries every triangle, and both must give the same picture bit for bit.
 
+use crate::access::BlockSketch;
 use crate::attributes::AttributeReader;
 use crate::block::attributes::CornerAttributes;
 use crate::error::TraceError;
@@ -46,6 +47,11 @@ pub(crate) trait RayQuery {
 
     /// What was done so far.
     fn counters(&self) -> TraceCounters;
+
+    /// Which blocks of the model were entered since this was called last, roughly; none where there are several models.
+    fn take_touched(&mut self) -> BlockSketch {
+        BlockSketch::default()
+    }
 }
 
 /// A tracer, and readers of attributes if the picture needs any. Which one it is is asked once per call.
@@ -146,6 +152,13 @@ impl RayQuery for SceneTracer<'_> {
             SceneTracer::Instances { tracer, .. } => tracer.counters(),
         }
     }
+
+    fn take_touched(&mut self) -> BlockSketch {
+        match self {
+            SceneTracer::Model { tracer, .. } => tracer.take_touched(),
+            SceneTracer::Instances { .. } => BlockSketch::default(),
+        }
+    }
 }
 
 impl<Q: RayQuery> RayQuery for &mut Q {
@@ -189,5 +202,9 @@ impl<Q: RayQuery> RayQuery for &mut Q {
 
     fn counters(&self) -> TraceCounters {
         (**self).counters()
+    }
+
+    fn take_touched(&mut self) -> BlockSketch {
+        (**self).take_touched()
     }
 }

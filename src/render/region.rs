@@ -13,6 +13,7 @@ use super::stage::Stage;
 use super::tiles::{Area, TileGrid};
 use super::waiting::{Extent, OpenedTile, WaitingPlan, WaitingWorker};
 use super::workers::{Watch, Worker, tile_bytes};
+use crate::access::BlockSketch;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::{BudgetError, RenderError, TraceError};
 use crate::model::Model;
@@ -295,6 +296,15 @@ impl RegionRenderer<'_> {
             }
             Lane::Waiting(lane) => lane.render(area)?,
         })
+    }
+
+    /// Which blocks of the model rays entered since this was called last, roughly: nothing that shows may depend on it. Empty where there are several
+    /// models.
+    pub fn take_touched(&mut self) -> BlockSketch {
+        match &mut self.lane {
+            Lane::InOrder(worker) => worker.take_touched(),
+            Lane::Waiting(lane) => lane.worker.as_mut().map(WaitingWorker::take_touched).unwrap_or_default(),
+        }
     }
 
     /// What was done since this renderer was made.

@@ -14,6 +14,7 @@ use super::stage::Stage;
 use super::tile_samples::{FinishedTile, TileSamples};
 use super::tiles::Area;
 use super::waiting::{OpenedTile, PoolQuery, WaitingPlan, WaitingWorker};
+use crate::access::BlockSketch;
 use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
 use crate::stats::TraceCounters;
@@ -302,6 +303,11 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
     /// Work of the queries so far.
     pub fn trace(&self) -> TraceCounters {
         self.paths.query.counters()
+    }
+
+    /// Which blocks were entered since this was called last, roughly.
+    pub fn take_touched(&mut self) -> BlockSketch {
+        self.paths.query.take_touched()
     }
 
     /// Renders an area of at most a tile's size, with an error threshold other than that of the settings if there is one; false if the

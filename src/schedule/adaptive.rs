@@ -3,13 +3,14 @@
 use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::time::Duration;
 
+use super::affinity::Affinity;
 use super::checkpoint::ScheduleCheckpoint;
 use super::cost::CostMap;
 use super::crew::Crew;
 use super::estimates::{Estimates, nanos};
 use super::grid::{ImageGrid, TileCells};
 use super::ledger::{Lease, Ledger, Nanos};
-use super::options::{SchedulerOptions, TilePolicy};
+use super::options::{PieceChoice, SchedulerOptions, TilePolicy};
 use super::parts::{PartCells, PartRest};
 use super::policy::{CentralPolicy, CurvePolicy, Policy, RowsPolicy, View, first_cells};
 use super::scheduler::{
@@ -30,6 +31,8 @@ pub struct AdaptiveScheduler {
     /// Of a scheduler for parts: expected work of what was free when it was last reckoned, and how many cells that were.
     free: (f64, u64),
     costs: CostMap,
+    /// Who holds which blocks, if that is to matter.
+    affinity: Option<Affinity>,
     crew: Crew,
     policy: Box<dyn Policy>,
     /// Workers that were told to wait, by index.
@@ -93,6 +96,7 @@ impl AdaptiveScheduler {
         };
         AdaptiveScheduler {
             costs: CostMap::new(ledger.grid()),
+            affinity: (options.piece_choice == PieceChoice::Held).then(|| Affinity::new(ledger.grid())),
             options,
             ledger,
             is_part: false,
@@ -395,6 +399,9 @@ impl TileScheduler for AdaptiveScheduler {
         self.advance(now);
         if let Some(slot) = self.crew.join(worker) {
             self.policy.join(slot, &self.ledger);
+            if let Some(affinity) = &mut self.affinity {
+                affinity.join(slot);
+            }
         }
     }
 
@@ -420,11 +427,12 @@ impl TileScheduler for AdaptiveScheduler {
         let holds = self.crew.get(slot).map_or(0, |worker| worker.leases.len());
         if holds < self.options.leases_in_hand_max as usize && self.ledger.cells_free() > 0 {
             let free_work = self.is_part.then(|| self.free_work());
-            let AdaptiveScheduler { options, ledger, costs, crew, policy, .. } = self;
+            let AdaptiveScheduler { options, ledger, costs, affinity, crew, policy, .. } = self;
             let (ledger, costs) = (&*ledger, &*costs);
             let estimates = Estimates { options, ledger, costs, crew, free_work };
             let cells_max = |tile| estimates.cells_max(slot, tile);
-            let view = View { ledger, costs, slot, cells_max: &cells_max };
+            let affinity = affinity.as_ref();
+            let view = View { ledger, costs, affinity, slot, cells_max: &cells_max };
             if let Some(cells) = policy.pick(&view) {
                 return Ok(self.assign(slot, cells, false));
             }
@@ -456,6 +464,9 @@ impl TileScheduler for AdaptiveScheduler {
         let slot = self.crew.slot(worker);
         let (fresh, holders) = self.ledger.finish(result.cells);
         self.learn(slot, result.cells, fresh, result.spent);
+        if let Some(affinity) = &mut self.affinity {
+            affinity.record(slot, self.ledger.grid(), tile, &result.blocks);
+        }
         // The lease is the worker's own, not one of the same number from elsewhere.
         let own = self.ledger.lease(result.lease).is_some_and(|lease| Some(lease.slot) == slot);
         for id in holders.into_iter().filter(|id| !own || *id != result.lease) {

@@ -19,6 +19,7 @@
 //! - A worker that is lost, slow or cut off holds up nobody for longer than a lease lasts.
 
 mod adaptive;
+mod affinity;
 mod checkpoint;
 mod cost;
 mod crew;
@@ -35,7 +36,7 @@ mod speed;
 pub use adaptive::AdaptiveScheduler;
 pub use checkpoint::ScheduleCheckpoint;
 pub use grid::{ImageGrid, Region, TileCells};
-pub use options::{CentralPoints, SchedulerOptions, TilePolicy};
+pub use options::{CentralPoints, PieceChoice, SchedulerOptions, TilePolicy};
 pub use parts::{PartScheduler, SubScheduler};
 pub use scheduler::{
     Answer, Assignment, Notice, Receipt, ScheduleProgress, Spent, TileResult, TileScheduler,

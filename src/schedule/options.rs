@@ -34,6 +34,17 @@ pub enum TilePolicy {
     Curve,
 }
 
+/// Of which piece a worker of [`TilePolicy::Curve`] takes over half when its own is at an end, among those that would take nearly the longest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PieceChoice {
+    /// The one nearest along the curve to where the worker was.
+    #[default]
+    Near,
+    /// The one whose blocks the worker most likely holds, by what results tell ([`TileResult::blocks`](super::TileResult::blocks)): the blocks
+    /// that finished cells around there needed, against those that the worker touched last. Among equals, the nearest.
+    Held,
+}
+
 /// How an [`AdaptiveScheduler`](super::AdaptiveScheduler) works. The defaults are the best known; the others are there so that each can be
 /// compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,6 +57,8 @@ pub struct SchedulerOptions {
     pub expected_workers: u32,
     /// How a worker's next tile is chosen.
     pub policy: TilePolicy,
+    /// Of which piece of the curve an idle worker takes over half.
+    pub piece_choice: PieceChoice,
     /// At the start, no hand-out is greater than the image over the expected workers over this: at least five tiles each (the paper). 0 for no such
     /// bound.
     pub tiles_per_worker: u32,
@@ -80,6 +93,7 @@ impl SchedulerOptions {
             cell_side: 8,
             expected_workers,
             policy: TilePolicy::Curve,
+            piece_choice: PieceChoice::Near,
             tiles_per_worker: 5,
             share_of_rest: 0.25,
             hand_out_min: Duration::from_micros(50 * u64::from(expected_workers)),

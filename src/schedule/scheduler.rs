@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use super::checkpoint::ScheduleCheckpoint;
 use super::grid::{ImageGrid, TileCells};
+use crate::access::BlockSketch;
 use crate::error::ScheduleError;
 use crate::units::{LeaseId, WorkerId};
 
@@ -73,6 +74,8 @@ pub struct TileResult {
     pub is_last: bool,
     /// What these cells cost.
     pub spent: Spent,
+    /// Which blocks they needed, roughly; empty if unknown. See [`PieceChoice::Held`](super::PieceChoice::Held).
+    pub blocks: BlockSketch,
 }
 
 /// What became of a result.

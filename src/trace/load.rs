@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::access::{AccessLog, QueryKind};
+use crate::access::{AccessLog, BlockSketch, QueryKind};
 use crate::block::{BlockData, DecodeScratch};
 use crate::cache::Pin;
 use crate::error::{BlockError, LoadError};
@@ -103,6 +103,9 @@ pub(super) struct Pins<'o> {
     mask: u32,
     /// Where accesses are written down, if anywhere.
     log: Option<Box<AccessLog>>,
+    /// Blocks that were pinned since this was taken last.
+    touched: BlockSketch,
+    sketch_scale: u64,
     /// Whether missing blocks are loaded, by this thread, which waits for them.
     pub loads: bool,
 }
@@ -112,7 +115,10 @@ impl<'o> Pins<'o> {
         let log = octree.accesses.as_ref().map(|recorder| Box::new(recorder.log()));
         // What a recording tracer has pinned would not be written down.
         let count = if log.is_some() { 1 } else { octree.pins_per_tracer() };
-        Pins { places: (0..count).map(|_| None).collect(), mask: count - 1, log, loads: true }
+        let places = (0..count).map(|_| None).collect();
+        let sketch_scale = BlockSketch::scale(octree.model().block_id_count());
+        let touched = BlockSketch::default();
+        Pins { places, mask: count - 1, log, touched, sketch_scale, loads: true }
     }
 
     /// Whether accesses are written down.
@@ -140,6 +146,16 @@ impl<'o> Pins<'o> {
         self.places.fill_with(|| None);
     }
 
+    /// Blocks that were entered since this was called last. Those that are pinned now may be entered again unseen, so they are in the next
+    /// sketch too.
+    pub fn take_touched(&mut self) -> BlockSketch {
+        let mut still = BlockSketch::default();
+        for pin in self.places.iter().flatten() {
+            still.add_scaled(pin.block(), self.sketch_scale);
+        }
+        std::mem::replace(&mut self.touched, still)
+    }
+
     /// The slot of `block`. If it is not resident: loaded, or `None` if the pins are not to load.
     #[inline(always)]
     pub fn get(
@@ -161,6 +177,7 @@ impl<'o> Pins<'o> {
             } else {
                 *place = Some(pin(octree, block, scratch, counters)?);
             }
+            self.touched.add_scaled(block, self.sketch_scale);
             if let Some(log) = &mut self.log {
                 log.enter(block);
             }

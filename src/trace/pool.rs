@@ -8,7 +8,7 @@ use super::policy::Policy;
 use super::suspended::{Query, SuspendedRays};
 use super::tracer::{Query as Kernel, enter};
 use super::{Answers, AnyRequest, ClosestRequest, LoadStats, MaterialSet, OnMissing, Tracer};
-use crate::access::QueryKind;
+use crate::access::{BlockSketch, QueryKind};
 use crate::budget::Reservation;
 use crate::cache::Pin;
 use crate::error::TraceError;
@@ -257,6 +257,11 @@ impl<'o> RayPool<'o> {
     /// What this pool did so far.
     pub fn counters(&self) -> TraceCounters {
         TraceCounters { suspended_peak: u64::from(self.suspended.peak()), ..self.tracer.counters() }
+    }
+
+    /// Which blocks its rays entered since this was called last; see [`Tracer::take_touched`].
+    pub fn take_touched(&mut self) -> BlockSketch {
+        self.tracer.take_touched()
     }
 
     /// How its loads went so far.

@@ -13,7 +13,7 @@ use super::policy::{Certified, Fast, Policy, Selected};
 use super::stack::{Entries, UNUSED};
 use super::together::{Lanes, closest_hits_together, occlusions_together};
 use super::{Hit, LoadStats, MaterialSet, Occlusion};
-use crate::access::QueryKind;
+use crate::access::{BlockSketch, QueryKind};
 use crate::budget::Reservation;
 use crate::error::{LoadError, TraceError};
 use crate::geom::Ray;
@@ -148,6 +148,11 @@ impl<'o> Tracer<'o> {
     /// How its loads went so far.
     pub fn load_stats(&self) -> LoadStats {
         self.scratch.stats()
+    }
+
+    /// Which blocks rays entered since this was called last, roughly, and which ones the tracer had pinned then.
+    pub fn take_touched(&mut self) -> BlockSketch {
+        self.pins.take_touched()
     }
 
     /// Lets go of all blocks, so that other tracers can have their slots. Do it before a long pause.

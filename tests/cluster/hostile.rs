@@ -8,6 +8,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use outcrop::MemoryBudget;
+use outcrop::access::BlockSketch;
 use outcrop::cluster::{
     Coordinator, LeasedCells, MESSAGE_VERSION, Message, Role, run_coordinator, run_worker,
 };
@@ -243,7 +244,8 @@ fn bad_members(key: &SharedKey, address: &str) -> u32 {
     };
     let result = |tile, cells, tail: usize| {
         let what = LeasedCells { lease: 1, tile, cells };
-        Message::Result { lane: 0, what, is_last: true, micros: 1, work: 1.0 }.frame_with(&vec![0; tail])
+        Message::Result { lane: 0, what, is_last: true, micros: 1, work: 1.0, blocks: BlockSketch::default() }
+            .frame_with(&vec![0; tail])
     };
     let wrong_version = {
         let mut frame = hello.frame();

@@ -1,5 +1,6 @@
 //! The cluster as a whole: simulated with faults, in threads, as processes, and with hostile peers.
 
+mod block_client;
 #[path = "../support/compiled.rs"]
 mod compiled;
 mod copy;

@@ -1,6 +1,9 @@
 //! Frames that are not messages.
 
+use outcrop::access::BlockSketch;
 use outcrop::cluster::{BLOCKS_MAX, LeasedCells, Message, RANGE_BYTES_MAX, Role};
+
+use outcrop::units::BlockId;
 
 use super::numbers::Random;
 use super::support::job;
@@ -34,9 +37,11 @@ fn messages() -> Vec<(Message, Vec<u8>)> {
         Message::NoBlock { block: 7, reason: "gone".to_owned() },
         Message::ReadFile { offset: 1 << 50, length: RANGE_BYTES_MAX },
     ];
+    let mut blocks = BlockSketch::default();
+    (0..300).for_each(|block| blocks.add(BlockId(block * 3), 1000));
     let tail = (0..100).collect::<Vec<u8>>();
     let mut all: Vec<_> = plain.into_iter().map(|message| (message, vec![])).collect();
-    all.push((Message::Result { lane: 1, what, is_last: true, micros: 5, work: 0.5 }, tail.clone()));
+    all.push((Message::Result { lane: 1, what, is_last: true, micros: 5, work: 0.5, blocks }, tail.clone()));
     all.push((Message::Block { block: 9, turn: 200 }, tail.clone()));
     all.push((Message::FilePart { offset: 0, file_bytes: 10 }, tail));
     all
@@ -101,6 +106,7 @@ fn what_makes_no_sense_is_refused() {
             is_last: true,
             micros: 0,
             work: f64::NAN,
+            blocks: BlockSketch::default(),
         },
     ] {
         assert!(Message::parse(&message.frame()).is_err(), "{message:?}");

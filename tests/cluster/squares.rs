@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use outcrop::access::BlockSketch;
 use outcrop::cluster::{LeasedCells, Message, Worker, WorkerAction, WorkerEvent};
 use outcrop::render::Region;
 use outcrop::transport::{PeerId, TransportEvent};
@@ -29,7 +30,13 @@ fn sides(mut worker: Worker, time: Duration) -> Vec<[u32; 2]> {
                 let Region { width, height, .. } = region;
                 sides.push([width, height]);
                 let pixels = vec![[0.5; 3]; region.pixels() as usize];
-                events.push(WorkerEvent::Rendered { lane, pixels, time, work: 1.0 });
+                events.push(WorkerEvent::Rendered {
+                    lane,
+                    pixels,
+                    time,
+                    work: 1.0,
+                    blocks: BlockSketch::default(),
+                });
             }
         }
         now += time;

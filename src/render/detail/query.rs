@@ -6,6 +6,7 @@
 
 use super::forced::STAND_IN_UVS;
 use super::maps::{CutOut, MaterialMaps, Placed};
+use crate::access::BlockSketch;
 use crate::block::attributes::CornerAttributes;
 use crate::error::{LoadError, TraceError};
 use crate::geom::Ray;
@@ -282,5 +283,9 @@ impl<Q: RayQuery> RayQuery for SurfaceQuery<'_, Q> {
 
     fn counters(&self) -> TraceCounters {
         self.geometry.counters()
+    }
+
+    fn take_touched(&mut self) -> BlockSketch {
+        self.geometry.take_touched()
     }
 }

@@ -1,5 +1,6 @@
 //! A pool as a query whose answers come at once.
 
+use crate::access::BlockSketch;
 use crate::attributes::AttributeReader;
 use crate::block::attributes::CornerAttributes;
 use crate::error::TraceError;
@@ -51,5 +52,9 @@ impl RayQuery for PoolQuery<'_> {
 
     fn counters(&self) -> TraceCounters {
         self.pool.counters()
+    }
+
+    fn take_touched(&mut self) -> BlockSketch {
+        self.pool.take_touched()
     }
 }

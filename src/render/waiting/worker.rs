@@ -11,6 +11,7 @@ use super::plan::{ASKED_MAX, WaitingPlan, has_walks, leaves_claims_open};
 use super::query::PoolQuery;
 use super::samples::{Samples, Stacks};
 use super::tiles::{NextTile, Tiles};
+use crate::access::BlockSketch;
 use crate::error::TraceError;
 use crate::render::counters::EffectCounters;
 use crate::render::hot::{EffectsOfLoop, Matt, Sampled, Whitted};
@@ -97,6 +98,11 @@ impl<'s, 'o, W: Watch> WaitingWorker<'s, 'o, W> {
     /// Work of the queries so far.
     pub fn trace(&self) -> TraceCounters {
         self.paths.query.counters()
+    }
+
+    /// Which blocks were entered since this was called last, roughly.
+    pub fn take_touched(&mut self) -> BlockSketch {
+        self.paths.query.take_touched()
     }
 
     /// How loads went so far.

@@ -134,7 +134,7 @@ impl CurvePolicy {
             self.unused.push(orphan);
             return true;
         }
-        let Some(from) = self.large_and_near(own) else { return false };
+        let Some(from) = self.large_and_likely(own, view) else { return false };
         let piece = self.pieces[from as usize];
         let middle = piece.next + (piece.end - piece.next) / 2;
         self.pieces[own as usize] = Piece { next: middle, end: piece.end, rank: 0 };
@@ -143,15 +143,27 @@ impl CurvePolicy {
         true
     }
 
-    /// Of the pieces that are nearly as large as the largest, the one nearest to where the worker was: it holds blocks of its neighbourhood.
-    fn large_and_near(&self, own: u32) -> Option<u32> {
+    /// Of the pieces that are nearly as large as the largest, the one whose blocks the worker most likely holds, if that is known; among equals,
+    /// the one nearest to where it was: it holds blocks of its neighbourhood.
+    fn large_and_likely(&self, own: u32, view: &View<'_>) -> Option<u32> {
         const LOOKED_AT: usize = 32;
         let own_end = self.pieces[own as usize].end;
         let most = f64::from_bits(self.owned.last()?.0);
         let large = self.owned.iter().rev().take(LOOKED_AT);
         let large = large.take_while(|(rank, _)| f64::from_bits(*rank) >= NEARLY * most);
         let away = |piece: u32| self.pieces[piece as usize].next.abs_diff(own_end);
-        large.map(|(_, piece)| *piece).min_by_key(|piece| (away(*piece), *piece))
+        // Counted in eighths: less is chance.
+        let lacks = |piece: u32| match view.affinity {
+            Some(affinity) => {
+                let Piece { next, end, .. } = self.pieces[piece as usize];
+                // In the middle of what would be taken over.
+                let tile = TileId(((next + (end - next) / 4 * 3) / self.cells_per_tile) as u32);
+                let likelihood = affinity.likelihood(view.slot, view.grid(), tile).unwrap_or(0.0);
+                8 - (8.0 * likelihood) as u32
+            }
+            None => 0,
+        };
+        large.map(|(_, piece)| *piece).min_by_key(|piece| (lacks(*piece), away(*piece), *piece))
     }
 
     /// The tile with returned cells nearest to `to` along the curve.

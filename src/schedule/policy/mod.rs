@@ -10,6 +10,7 @@ pub(in crate::schedule) use central::CentralPolicy;
 pub(in crate::schedule) use curve::CurvePolicy;
 pub(in crate::schedule) use rows::RowsPolicy;
 
+use crate::schedule::affinity::Affinity;
 use crate::schedule::cost::CostMap;
 use crate::schedule::grid::{ImageGrid, TileCells};
 use crate::schedule::ledger::Ledger;
@@ -19,6 +20,8 @@ use crate::units::TileId;
 pub(in crate::schedule) struct View<'a> {
     pub ledger: &'a Ledger,
     pub costs: &'a CostMap,
+    /// Who holds which blocks, if that is to matter.
+    pub affinity: Option<&'a Affinity>,
     /// Index of the worker that asks.
     pub slot: u32,
     /// Most cells that it may get of any tile.

@@ -3,7 +3,7 @@
 use super::cost_image::cells;
 use super::*;
 use crate::error::ScheduleError;
-use crate::schedule::{CentralPoints, ImageGrid, SchedulerOptions, TilePolicy};
+use crate::schedule::{CentralPoints, ImageGrid, PieceChoice, SchedulerOptions, TilePolicy};
 
 /// A plain with a steep hill: the dearest cell costs 20 times what the cheapest does. A block lies under every square of 32 pixels.
 fn hill(side: u32, seconds_per_cell: f64) -> CostImage {
@@ -56,10 +56,12 @@ fn times_add_up() {
         TilePolicy::TradeOff { points: CentralPoints::Diagonals, weight: 0.5 },
         TilePolicy::Curve,
     ];
+    // Idle workers take over by place in the small image, by blocks in the large one.
     // Of the small image, much is still under way twice when its last cell arrives.
     for (side, policy) in [512, 64].into_iter().flat_map(|side| policies.map(|policy| (side, policy))) {
         let costs = hill(side, 1e-3);
-        let options = SchedulerOptions { policy, ..SchedulerOptions::new(6) };
+        let piece_choice = if side == 512 { PieceChoice::Held } else { PieceChoice::Near };
+        let options = SchedulerOptions { policy, piece_choice, ..SchedulerOptions::new(6) };
         let report = simulate(&costs, &ClusterModel::default(), options, 6).unwrap();
         // At speed 1, what counted is the work of the image.
         assert!((report.render_seconds - costs.total_seconds()).abs() < 1e-4, "{policy:?}: {report:?}");

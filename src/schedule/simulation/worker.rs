@@ -5,9 +5,10 @@ use std::time::Duration;
 
 use super::cost_image::CostImage;
 use super::machine::{CellTime, ClusterModel, Machine};
+use crate::access::BlockSketch;
 use crate::schedule::grid::TileCells;
 use crate::schedule::scheduler::{Assignment, Spent, TileResult};
-use crate::units::LeaseId;
+use crate::units::{BlockId, LeaseId};
 
 /// Bound for a coordinator.
 #[derive(Clone, Copy, Debug)]
@@ -22,13 +23,16 @@ pub(super) enum Bound {
 
 impl Bound {
     pub fn bytes(&self, model: &ClusterModel, costs: &CostImage) -> f64 {
-        let pixels = match self {
-            Bound::Result { result, .. } => costs.grid().pixels(result.cells),
-            Bound::Request => 0,
+        let (pixels, sketch_bytes) = match self {
+            Bound::Result { result, .. } => (costs.grid().pixels(result.cells), SKETCH_BYTES),
+            Bound::Request => (0, 0.0),
         };
-        f64::from(model.message_bytes) + pixels as f64 * f64::from(model.pixel_bytes)
+        f64::from(model.message_bytes) + sketch_bytes + pixels as f64 * f64::from(model.pixel_bytes)
     }
 }
+
+/// Bytes of the blocks that a result tells of, at most.
+const SKETCH_BYTES: f64 = 80.0;
 
 /// Bound for a worker.
 #[derive(Clone, Copy, Debug)]
@@ -54,6 +58,8 @@ struct Job {
     started: Option<u64>,
     /// Cost of what is done, in seconds at speed 1.
     work: f64,
+    /// Blocks that it needed.
+    blocks: BlockSketch,
 }
 
 pub(super) struct Worker {
@@ -96,7 +102,14 @@ impl Worker {
             Told::Assign(assignment) => {
                 self.has_asked = false;
                 let left = assignment.cells.cells;
-                let job = Job { assignment, left, done: 0, started: None, work: 0.0 };
+                let job = Job {
+                    assignment,
+                    left,
+                    done: 0,
+                    started: None,
+                    work: 0.0,
+                    blocks: BlockSketch::default(),
+                };
                 self.jobs.push_back(job);
             }
             Told::Shorten(lease, keep) => {
@@ -133,6 +146,8 @@ impl Worker {
         let tile = job.assignment.cells.tile;
         let time = self.machine.render(model, costs, tile, cell);
         job.work += costs.seconds(tile, cell);
+        let scale = BlockSketch::scale(costs.blocks().len() as u32);
+        costs.accesses(tile, cell).iter().for_each(|block| job.blocks.add_scaled(BlockId(*block), scale));
         self.cell = Some(cell);
         self.cell_time = time;
         spending.rendered_seconds += time.render_seconds;
@@ -157,6 +172,7 @@ impl Worker {
             cells: TileCells { tile: job.assignment.cells.tile, cells: job.done },
             is_last: true,
             spent: Spent { seconds: spent.as_secs_f64(), work: job.work },
+            blocks: job.blocks,
         };
         self.jobs.pop_front();
         Some(Bound::Result { result, asks: self.asks(model) })

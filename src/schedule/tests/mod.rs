@@ -9,8 +9,9 @@ use proptest::prelude::*;
 
 use self::world::{World, event};
 use super::*;
+use crate::access::BlockSketch;
 use crate::error::ScheduleError;
-use crate::units::{LeaseId, TileId, WorkerId};
+use crate::units::{BlockId, LeaseId, TileId, WorkerId};
 
 /// Every policy, and every switch in both positions.
 fn all_options() -> impl Strategy<Value = SchedulerOptions> {
@@ -21,15 +22,16 @@ fn all_options() -> impl Strategy<Value = SchedulerOptions> {
         3 => Just(TilePolicy::Curve),
     ];
     let sides = prop_oneof![Just((64, 8)), Just((32, 32)), Just((16, 4)), Just((8, 4))];
-    let switches = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
+    let switches = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
     let numbers = (1u32..20, 1u32..5, prop_oneof![Just(0.0), 0.0..1.0]);
     (policies, sides, switches, numbers).prop_map(|(policy, (tile_side, cell_side), switches, numbers)| {
-        let (critical_time, take_over, learn_speeds, five) = switches;
+        let (critical_time, take_over, learn_speeds, five, held) = switches;
         let (expected_workers, leases_in_hand_max, share_of_rest) = numbers;
         SchedulerOptions {
             tile_side,
             cell_side,
             policy,
+            piece_choice: if held { PieceChoice::Held } else { PieceChoice::Near },
             tiles_per_worker: if five { 5 } else { 0 },
             share_of_rest,
             critical_time,
@@ -86,6 +88,7 @@ fn what_cannot_be_is_refused() {
         cells: TileCells { tile: TileId(tile), cells },
         is_last: true,
         spent: Spent { seconds: f64::NAN, work: f64::INFINITY },
+        blocks: BlockSketch::default(),
     };
     let tiles = scheduler.grid().tile_count();
     for bad in [result(tiles, 1), result(u32::MAX, 0b11), result(tiles - 1, !0)] {
@@ -97,6 +100,45 @@ fn what_cannot_be_is_refused() {
     // Numbers that are none do no harm.
     assert_eq!(scheduler.complete(stranger, &result(0, 1), now).unwrap().fresh.count(), 1);
     assignment(scheduler.request(stranger, now).unwrap());
+}
+
+/// Three workers on a row of tiles, a third each. The first is through when the others have five tiles left; the last one's tiles need the blocks that
+/// the first one holds, those of the neighbour need others.
+#[test]
+fn an_idle_worker_goes_where_its_blocks_are_needed() {
+    let taken_over = |piece_choice| {
+        let options = SchedulerOptions {
+            tile_side: 8,
+            cell_side: 8,
+            piece_choice,
+            leases_in_hand_max: 1,
+            ..SchedulerOptions::new(3)
+        };
+        let mut scheduler = AdaptiveScheduler::new(8 * 48, 8, options).unwrap();
+        let mut now = Duration::ZERO;
+        (0..3).for_each(|worker| scheduler.join(WorkerId(worker), now));
+        let mut render = |scheduler: &mut AdaptiveScheduler, worker: u64| {
+            let Assignment { lease, cells, .. } =
+                assignment(scheduler.request(WorkerId(worker), now).unwrap());
+            now += Duration::from_millis(10);
+            let mut blocks = BlockSketch::default();
+            let first = if cells.tile.0 / 16 == 1 { 100 } else { 0 };
+            (first..first + 20).for_each(|block| blocks.add(BlockId(block), 512));
+            let spent = Spent { seconds: 0.01, work: 0.01 };
+            let result = TileResult { lease, cells, is_last: true, spent, blocks };
+            assert_eq!(scheduler.complete(WorkerId(worker), &result, now).unwrap().fresh, cells);
+            cells.tile.0
+        };
+        for worker in (0..22).map(|step| 1 + step % 2) {
+            let tile = render(&mut scheduler, worker);
+            assert_eq!(u64::from(tile / 16), worker);
+        }
+        (0..16).for_each(|_| assert_eq!(render(&mut scheduler, 0) / 16, 0));
+        render(&mut scheduler, 0)
+    };
+    // The middles of what is left of their pieces.
+    assert_eq!(taken_over(PieceChoice::Near), 29);
+    assert_eq!(taken_over(PieceChoice::Held), 45);
 }
 
 /// A worker that only takes gets no more than it may hold.

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 
+use crate::access::BlockSketch;
 use crate::schedule::parts::{PartCells, PartNotice, PartOptions, PartReport, PartRest};
 use crate::schedule::*;
 use crate::units::{SubCoordinatorId, TileId, WorkerId};
@@ -145,7 +146,13 @@ impl World {
             What::Late { sub, worker, which } => {
                 if let Some(node) = self.nodes[sub].as_mut().filter(|_| !self.assigned.is_empty()) {
                     let Assignment { lease, cells, .. } = self.assigned[which % self.assigned.len()];
-                    let result = TileResult { lease, cells, is_last: true, spent: Spent::default() };
+                    let result = TileResult {
+                        lease,
+                        cells,
+                        is_last: true,
+                        spent: Spent::default(),
+                        blocks: BlockSketch::default(),
+                    };
                     node.scheduler.complete(WorkerId(worker), &result, self.now).unwrap();
                 }
             }
@@ -194,7 +201,7 @@ impl World {
         let Assignment { lease, cells, .. } = held.remove(0);
         let cells = TileCells { cells: cells.cells & mask, ..cells };
         let spent = Spent { seconds: work * (worker + 1) as f64, work };
-        let result = TileResult { lease, cells, is_last: true, spent };
+        let result = TileResult { lease, cells, is_last: true, spent, blocks: BlockSketch::default() };
         node.scheduler.complete(WorkerId(worker), &result, self.now).unwrap();
     }
 

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 
+use crate::access::BlockSketch;
 use crate::schedule::*;
-use crate::units::{LeaseId, TileId, WorkerId};
+use crate::units::{BlockId, LeaseId, TileId, WorkerId};
 
 /// Something happens after some milliseconds.
 #[derive(Clone, Debug)]
@@ -202,7 +203,12 @@ impl World {
     fn complete(&mut self, worker: u64, assignment: Assignment, mask: u64, is_last: bool, spent: Spent) {
         let TileCells { tile, cells } = assignment.cells;
         let cells = TileCells { tile, cells: cells & mask };
-        let result = TileResult { lease: assignment.lease, cells, is_last, spent };
+        // Any blocks at all, and none.
+        let mut blocks = BlockSketch::default();
+        for block in 0..(mask % 40) as u32 {
+            blocks.add(BlockId(block.wrapping_mul(tile.0 + 77) % 1000), 1000);
+        }
+        let result = TileResult { lease: assignment.lease, cells, is_last, spent, blocks };
         let receipt = self.scheduler.complete(WorkerId(worker), &result, self.now).unwrap();
         let done = self.done.entry(tile).or_default();
         assert_eq!(receipt.fresh.tile, tile);
