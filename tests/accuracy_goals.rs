@@ -206,7 +206,10 @@ fn bounds_hold_as_often_as_they_say() {
                     .unwrap();
             let error = |of: Metric| of.distance(reference.pixels(), image.film.pixels(), image.film.width());
             for (held, of) in held.iter_mut().zip(Metric::ALL) {
-                *held += u32::from(error(of) <= certificate.error_bound(of).unwrap());
+                // Of the greatest error nothing is said where pixels have single samples.
+                let bound = certificate.error_bound(of);
+                assert!(bound.is_some() || (metric, of) == (Metric::Flip, Metric::Max));
+                *held += u32::from(bound.is_none_or(|bound| error(of) <= bound));
             }
             if certificate.verdict == Verdict::Met {
                 met += 1;
@@ -234,7 +237,7 @@ fn rays_may_wait_and_threads_do_not_show() {
     ] {
         let (octree, budget) = open(&source, Tier::Certified);
         let settings = RenderSettings { waiting, width: 40, height: 32, ..settings() };
-        let options = GoalOptions::new(Goal::MaxError { metric: Metric::Rmse, bound: 0.03 });
+        let options = GoalOptions::new(Goal::MaxError { metric: Metric::Rmse, bound: 0.01 });
         let goal = render_to_goal(&octree, &scene, &settings, &options, &threads, &budget, go_on).unwrap();
         assert_eq!(goal.image.report.waiting.is_some(), waiting != WaitingRays::Never);
         let Some(first) = &found else {
@@ -343,8 +346,8 @@ fn goals_can_be_cancelled_and_tell_how_far_they_are() {
     let run = |progress: &mut (dyn FnMut(outcrop::accuracy::GoalProgress) -> Control + Send)| {
         render_to_goal(&octree, &scene, &settings(), &options, &Threads::Count(2), &budget, progress)
     };
-    // While the knobs are chosen: after no, and after some cells.
-    for calls in [1, 5] {
+    // While the contribution bound is chosen: at the first look, and at the second.
+    for calls in [1, 2] {
         let mut left = calls;
         let error = run(&mut |progress| {
             assert_eq!(progress.attempt, 0);

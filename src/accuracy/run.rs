@@ -313,7 +313,10 @@ impl Job<'_, '_> {
             Known::Squares(squares, check) => {
                 let (width, total) = (image.film.width(), self.pixels_total());
                 let confidence = self.options.confidence;
-                let asked = Metric::ALL.into_iter().filter(|metric| self.is_asked(*metric));
+                // Single samples do not tell the greatest error of many pixels.
+                let few = matches!(knobs.sampling, Sampling::Adaptive { samples_min, .. } if samples_min < FIRST_SAMPLES);
+                let is_told = |metric: &Metric| self.is_asked(*metric) && !(few && *metric == Metric::Max);
+                let asked = Metric::ALL.into_iter().filter(is_told);
                 let estimates =
                     asked.map(|metric| estimate(metric, &pixels, width, squares, total, confidence));
                 (estimates.collect(), check)
