@@ -87,7 +87,12 @@ fn reference(octree: &LazyOctree, budget: &MemoryBudget, scene: &Scene) -> Film 
 fn holds(certificate: &Certificate, found: &Film, reference: &Film) {
     for metric in Metric::ALL {
         let error = metric.distance(reference.pixels(), found.pixels(), found.width());
-        let bound = certificate.error_bound(metric).unwrap();
+        let Some(bound) = certificate.error_bound(metric) else {
+            // Nothing is said of the greatest error where pixels have single samples.
+            assert!(matches!(certificate.knobs.sampling, Sampling::Adaptive { samples_min: 1, .. }));
+            assert_eq!(metric, Metric::Max);
+            continue;
+        };
         println!("{}: {error:.2e}, certified {bound:.2e}", metric.name());
         assert!(error <= bound, "{}: {error} above {bound}", metric.name());
         if metric != Metric::Max {

@@ -78,7 +78,8 @@ mod tests {
     /// A few pixels that are wide and many that are not: of 400 pictures as many are above the limit as is said, or fewer.
     #[test]
     fn the_limit_holds_as_often_as_it_says() {
-        let deviation = |pixel: u32| if pixel % 50 == 0 { 0.03 } else { 0.001 * f64::from(1 + pixel % 20) };
+        let deviation =
+            |pixel: u32| if pixel.is_multiple_of(50) { 0.03 } else { 0.001 * f64::from(1 + pixel % 20) };
         let deviations = Deviations::new((0..3000).map(deviation));
         let (limit, plain) =
             (deviations.limit(0.1, 1.0, f64::INFINITY), 0.03 * normal_quantile(1.0 - 0.1 / (SIDES * 3000.0)));
