@@ -103,11 +103,19 @@ fn hand_picked(subject: &Subject<'_>, is_test: bool) -> Vec<Knobs> {
     all
 }
 
+/// What a goal took beside the best by hand.
+struct Beside {
+    metric: Metric,
+    seconds: f64,
+    rays: f64,
+}
+
 fn error_goals(
     found: &Subjects,
     subject: &Subject<'_>,
     reference: &Reference,
     is_test: bool,
+    beside: &mut Vec<Beside>,
 ) -> Result<bool, Failure> {
     let mut tried = Vec::new();
     for knobs in hand_picked(subject, is_test) {
@@ -135,6 +143,7 @@ fn error_goals(
             .min_by(|(a, _), (b, _)| a.seconds_median().total_cmp(&b.seconds_median()));
         let (mut ratios, mut reached, mut certified, mut seconds) = (Vec::new(), 0.0, 0.0, 0.0);
         let mut parts = [0.0; 3];
+        let mut rays = 0;
         let mut verdict = Verdict::Met;
         for _ in 0..if is_test { 1 } else { 3 } {
             let start = Instant::now();
@@ -143,6 +152,7 @@ fn error_goals(
             reached = metric.distance(reference.film.pixels(), image.film.pixels(), image.film.width());
             certified = certificate.error_bound(*metric).unwrap_or(f64::INFINITY);
             verdict = certificate.verdict;
+            rays = certificate.counters.effects.rays();
             let took = certificate.seconds;
             parts = [took.choosing, took.rendering, took.checking].map(|part| 100.0 * part / took.total);
             if let Some((_, knobs)) = best {
@@ -162,7 +172,9 @@ fn error_goals(
         ratios.sort_by(f64::total_cmp);
         let by_hand = match (best, ratios.get(ratios.len() / 2)) {
             (Some((row, knobs)), Some(ratio)) => {
-                format!("{ratio:.2} of {} ({:.4})", describe(knobs), row.error(*metric))
+                let rays = rays as f64 / row.effects.rays() as f64;
+                beside.push(Beside { metric: *metric, seconds: *ratio, rays });
+                format!("{ratio:.2}, {rays:.2} of {} ({:.4})", describe(knobs), row.error(*metric))
             }
             _ => "nothing tried keeps it".to_string(),
         };
@@ -179,6 +191,22 @@ fn error_goals(
         holds &= verdict != Verdict::Met || reached <= *bound;
     }
     Ok(holds)
+}
+
+/// What is in the middle of all scenes and goals, by metric.
+fn medians(beside: &[Beside]) {
+    let median = |of: &dyn Fn(&Beside) -> Option<f64>| {
+        let mut found: Vec<f64> = beside.iter().filter_map(of).collect();
+        found.sort_by(f64::total_cmp);
+        found.get(found.len() / 2).copied().unwrap_or(f64::NAN)
+    };
+    println!("\n| metric | CPU time beside the best by hand, median | rays, median |\n|---|---|---|");
+    for metric in Metric::ALL {
+        let own = |found: &Beside| found.metric == metric;
+        let seconds = median(&|found| own(found).then_some(found.seconds));
+        let rays = median(&|found| own(found).then_some(found.rays));
+        println!("| {} | {seconds:.2} | {rays:.2} |", metric.name());
+    }
 }
 
 /// The picture made to a goal, and the processor's seconds that it took.
@@ -243,16 +271,18 @@ fn run() -> Result<bool, Failure> {
     let threads = Threads::Count(2);
     let all = subjects()?;
     println!(
-        "| scene | goal | verdict | error reached | certified | CPU s | % to choose / render / check | CPU time beside the best by hand (its error) |"
+        "| scene | goal | verdict | error reached | certified | CPU s | % to choose / render / check | CPU time and rays beside the best by hand (its error) |"
     );
     println!("|---|---|---|---|---|---|---|---|");
     let mut holds = true;
+    let mut beside = Vec::new();
     for found in &all {
         let subject = found.subject(&settings, &threads);
         let cut_off = if is_test { 1e-3 } else { 1e-5 };
         let reference = subject.reference(samples, cut_off, &mut |_| Control::Continue)?;
-        holds &= error_goals(found, &subject, &reference, is_test)?;
+        holds &= error_goals(found, &subject, &reference, is_test, &mut beside)?;
     }
+    medians(&beside);
     println!(
         "\n| scene | time asked for | time taken | off by | CPU s | samples per pixel | RMSE, estimated |"
     );

@@ -69,15 +69,17 @@ fn weight(samples: u32, deviation: f64) -> f64 {
     deviation / f64::from(samples.max(1)).sqrt()
 }
 
-/// The part of the square difference between a pixel's mean and that of as many further samples that is its own square error.
+/// The part of the square difference between a pixel's mean of so many samples and that of as many further samples that is its own square
+/// error.
 ///
 /// The expected square difference is the sum of both square errors. They are equal on average where the pixel's samples differ as
 /// such samples do. Where they hardly differ it may be wrong without a sign of it, and then its own error is the greater one: if
 /// all of `n` samples lie on one side, the share `p` of the other is distributed as Beta(1, n + 1) by Laplace's rule, the square error of
-/// the pixel is `E[p^2]` and that of the further samples `E[p (1 - p)] / n`, half as much for many samples.
-pub(super) fn own_part(pixel: &Sampled) -> f64 {
+/// the pixel is `E[p^2]`, and that of the further samples `E[p (1 - p)] / n`: `(n + 1) / 2 n` of it.
+pub(super) fn own_part(pixel: &Sampled, samples: u32) -> f64 {
     let most = pixel.half_difference.iter().fold(0.0f32, |most, x| most.max(x.abs()));
-    if f64::from(most) < 0.25 * pixel.deviation { 2.0 / 3.0 } else { 0.5 }
+    let n = f64::from(samples);
+    if f64::from(most) < 0.25 * pixel.deviation { 2.0 * n / (3.0 * n + 1.0) } else { 0.5 }
 }
 
 /// A pixel that was drawn.
@@ -87,6 +89,8 @@ pub(super) struct Drawn {
     pub index: usize,
     /// The chance that it had.
     pub chance: f64,
+    /// Samples that it has.
+    pub samples: u32,
 }
 
 /// The pixels that are drawn of those of a film, and where they are. A pure function of film and seed.
@@ -107,7 +111,7 @@ pub(super) fn draw(
             let luck = (key >> 11) as f64 / (1u64 << 53) as f64;
             // Films have fewer than 2^32 pixels.
             let (x, y) = (index as u32 % width, index as u32 / width);
-            (luck < chance).then_some((Drawn { index, chance }, SampledPixel { x, y, samples }))
+            (luck < chance).then_some((Drawn { index, chance, samples }, SampledPixel { x, y, samples }))
         })
         .unzip()
 }
@@ -122,10 +126,10 @@ pub(super) fn mean_square(
     let squares: Vec<f64> = drawn
         .iter()
         .zip(again)
-        .map(|(Drawn { index, chance }, again)| {
+        .map(|(Drawn { index, chance, samples }, again)| {
             let pixel = &pixels[*index];
             let square = |channel: usize| (f64::from(pixel.mean[channel]) - again[channel]).powi(2);
-            own_part(pixel) * (0..3).map(square).sum::<f64>() / 3.0 / chance
+            own_part(pixel, *samples) * (0..3).map(square).sum::<f64>() / 3.0 / chance
         })
         .collect();
     MeanSquare::of_draws(&squares, pixels.len() as u64, confidence)
@@ -204,7 +208,7 @@ mod tests {
             for (index, &(count, deviation, again)) in known.iter().enumerate() {
                 let chance = plan.chance(count, deviation);
                 if luck() < chance {
-                    drawn.push(Drawn { index, chance });
+                    drawn.push(Drawn { index, chance, samples: count });
                     further.push([again; 3]);
                 }
             }

@@ -1,136 +1,123 @@
-//! The knobs of an error goal, from a probe of the picture.
+//! The contribution bound of an error goal, from samples of a few pixels.
 
 use super::Metric;
-use super::estimate::{max_quantile, sampling_room};
+use super::estimate::{Sampled, cut_off, flip_cut_off, sampling_room};
 use super::job::{Job, ask};
-use super::predict::Prediction;
 use crate::error::RenderError;
-use crate::render::probe::Probe;
-use crate::render::{AdaptiveSampling, SceneTracer};
+use crate::render::resample::SampledPixel;
+use crate::render::{RenderSettings, Renderer};
 
-/// What is aimed at of an error goal.
-const AIM: f64 = 0.95;
+/// Pixels that are looked at for a contribution bound, at most one in [`LOOK_SHARE`].
+const LOOK_PIXELS: u64 = 1024;
+const LOOK_SHARE: u64 = 32;
+/// Contribution bounds that are looked at.
+const LOOKS_MAX: u32 = 10;
 
-/// How an error goal is sampled.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Chosen {
-    /// So many samples everywhere.
-    Fixed(u32),
-    /// Until a pixel's deviation is no more than this.
-    Deviation(f64),
+/// What a few pixels say about a contribution bound.
+struct Look {
+    /// What it adds to the error.
+    cut: f64,
+    /// Rays of a sample.
+    rays: f64,
 }
 
 impl Job<'_, '_> {
-    /// The contribution bound and the samples for an error goal.
-    pub(super) fn choose(&mut self, metric: Metric, bound: f64) -> Result<(f64, Chosen), RenderError> {
-        // High, and then down in steps: a probe of first samples costs little, and following rays that need not be followed much.
-        let mut contribution_bound = match metric {
+    /// The contribution bound at which the least is expected to be left to do, from high down: what is cut off leaves less room for the
+    /// error of sampling, and what is not takes rays.
+    pub(super) fn choose_contribution_bound(
+        &mut self,
+        metric: Metric,
+        bound: f64,
+    ) -> Result<f64, RenderError> {
+        let pixels = self.pixels_to_look_at(if metric == Metric::Flip { 4 } else { 1 });
+        let mut candidate = match metric {
             Metric::Flip => 0.2 * bound,
             Metric::Rmse | Metric::Max => bound,
         };
-        let most = cut_off_share(metric) * bound;
+        // FLIP grows with differences to the power of 0.7.
+        let power = if metric == Metric::Flip { 1.0 / 0.7 } else { 1.0 };
+        // For how much less error so many times as many samples are good: between `n^-3/4` of edges and `n^-1/2` of what is not
+        // stratified; in FLIP, to the power of 0.7.
+        let samples_power = if metric == Metric::Flip { -2.0 } else { -1.5 };
+        let mut best = (f64::INFINITY, candidate);
         let mut cut_before = f64::INFINITY;
-        // Few pixels tell the size of what is cut off.
-        for _ in 0..8 {
-            let renderer = self.probe_renderer(contribution_bound)?;
-            let probe = self.probe(&renderer, 4)?;
-            let first = self.prediction(&probe);
-            let cut = match metric {
-                Metric::Flip => first.flip_cut_off(f64::INFINITY),
-                _ => first.cut_off(metric, f64::INFINITY),
-            };
-            self.count(&probe);
-            // What work budgets cut does not shrink.
-            if cut <= most || cut > 0.95 * cut_before {
+        for _ in 0..LOOKS_MAX {
+            let look = self.look(metric, candidate, &pixels)?;
+            // In FLIP noise hides what is cut off, and the other way round, nearly as in RMSE; what its filters make of single pixels is too much anyway.
+            let of = if metric == Metric::Flip { Metric::Rmse } else { metric };
+            let room = sampling_room(of, bound, look.cut) / bound;
+            let price = look.rays * libm::pow(room, samples_power);
+            if price < best.0 || best.0.is_infinite() {
+                best = (price, candidate);
+            }
+            // It gets dearer again, what work budgets cut does not shrink, or there is next to nothing left to gain.
+            let gain = 1.0 - libm::pow(room, -samples_power);
+            if price > best.0 || look.cut > 0.95 * cut_before || gain < 0.03 {
                 break;
             }
-            // FLIP grows with differences to the power of 0.7.
-            let power = if metric == Metric::Flip { 1.0 / 0.7 } else { 1.0 };
-            contribution_bound *= libm::pow(most / cut, power).clamp(1.0 / 64.0, 0.6);
-            cut_before = cut;
+            let wanted = 0.9 * bound / look.cut;
+            candidate *= if wanted < 1.0 { libm::pow(wanted, power).clamp(1.0 / 64.0, 0.5) } else { 0.5 };
+            cut_before = look.cut;
         }
-        let renderer = self.probe_renderer(contribution_bound)?;
-        let mut probe = self.probe(&renderer, 1)?;
-        let chosen = match self.few_samples(&probe, metric, bound) {
-            Some(samples) => Ok(Chosen::Fixed(samples)),
-            None => self.choose_deviation(&mut probe, metric, bound).map(Chosen::Deviation),
-        };
-        self.count(&probe);
-        Ok((contribution_bound, chosen?))
+        Ok(best.1)
     }
 
-    /// [`Job::choose_deviation`] by a probe of its own.
-    pub(super) fn choose_deviation_at(
+    fn look(
         &mut self,
+        metric: Metric,
         contribution_bound: f64,
-        metric: Metric,
-        bound: f64,
-    ) -> Result<f64, RenderError> {
-        let renderer = self.probe_renderer(contribution_bound)?;
-        let mut probe = self.probe(&renderer, 1)?;
-        let deviation = self.choose_deviation(&mut probe, metric, bound);
-        self.count(&probe);
-        deviation
-    }
-
-    /// If the same few samples everywhere are enough, how many: nothing stops early then, so that no check is needed.
-    fn few_samples(&self, probe: &Probe<'_, SceneTracer<'_>>, metric: Metric, bound: f64) -> Option<u32> {
-        // The greatest error of many pixels is not known from two samples of each.
-        if metric == Metric::Max {
-            return None;
-        }
-        let prediction = self.prediction(probe);
-        [2, AdaptiveSampling::SAMPLES_MIN].into_iter().find(|samples| {
-            *samples <= self.options.samples_max
-                && prediction.estimate_fixed(metric, *samples).whole <= AIM * bound
-        })
-    }
-
-    /// The highest threshold that keeps the bound, by what the probe shows.
-    fn choose_deviation(
-        &mut self,
-        probe: &mut Probe<'_, SceneTracer<'_>>,
-        metric: Metric,
-        bound: f64,
-    ) -> Result<f64, RenderError> {
-        let first = self.prediction(probe);
-        if metric == Metric::Max {
-            let room = sampling_room(metric, bound, first.cut_off(metric, f64::INFINITY));
-            return Ok(AIM * room / max_quantile(self.pixels_total(), self.options.confidence));
-        }
-        let mut high = first.deviation_max();
-        let keeps = |prediction: &Prediction<'_>, deviation: f64| {
-            prediction.estimate(metric, deviation).whole <= AIM * bound
+        pixels: &[SampledPixel],
+    ) -> Result<Look, RenderError> {
+        let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
+        let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+        let told = &mut *self.progress;
+        let found = renderer.resample(pixels, self.threads, &mut || ask(told))?;
+        let found = found.ok_or(RenderError::Cancelled)?;
+        self.counters.effects.merge(&found.effects);
+        self.counters.trace.merge(&found.trace);
+        let cut = match metric {
+            Metric::Flip => {
+                let seen = |(mean, lost): (&glam::DVec3, &f64)| Sampled {
+                    mean: mean.to_array().map(|channel| channel as f32),
+                    half_difference: [0.0; 3],
+                    deviation: 0.0,
+                    lost: *lost,
+                };
+                let seen: Vec<Sampled> = found.means.iter().zip(&found.lost).map(seen).collect();
+                let width = pixels.iter().take_while(|pixel| pixel.y == pixels[0].y).count();
+                flip_cut_off(&seen, width as u32)
+            }
+            Metric::Rmse | Metric::Max => cut_off(metric, found.lost.iter().copied()).unwrap_or(0.0),
         };
-        let samples_max = self.options.samples_max;
-        // From the first samples alone to ever more, until the bound is kept; then back to the highest threshold that keeps it.
-        let mut fails = None;
-        loop {
-            if !probe.refine(high, samples_max, &mut || ask(self.progress))? {
-                return Err(RenderError::Cancelled);
-            }
-            let prediction = self.prediction(probe);
-            if keeps(&prediction, high) {
-                let mut fits = high;
-                if let Some(mut fails) = fails {
-                    for _ in 0..5 {
-                        let middle = f64::sqrt(fits * fails);
-                        if keeps(&prediction, middle) { fits = middle } else { fails = middle }
-                    }
-                }
-                return Ok(fits);
-            }
-            if prediction.is_exhausted(high) {
-                return Ok(high);
-            }
-            fails = Some(high);
-            high *= 0.5;
-        }
+        Ok(Look { cut, rays: found.effects.rays() as f64 / pixels.len() as f64 })
+    }
+
+    /// Pixels in squares of `side`, in rows and columns over the picture, as a small picture: each with a sample before the one that is
+    /// looked at.
+    fn pixels_to_look_at(&self, side: u32) -> Vec<SampledPixel> {
+        let wanted = (self.pixels_total() / LOOK_SHARE).clamp(256, LOOK_PIXELS).min(self.pixels_total());
+        let sides = [self.settings.width, self.settings.height];
+        let spacing = f64::from(side) * (self.pixels_total() as f64 / wanted as f64).sqrt();
+        let [columns, rows] = sides.map(|length| {
+            let count = (f64::from(length) / spacing).ceil().max(1.0) as u32;
+            let step = f64::from(length) / f64::from(count);
+            let start = |index: u32| {
+                let middle = (f64::from(index) + 0.5) * step - 0.5 * f64::from(side);
+                (middle.round().max(0.0) as u32).min(length.saturating_sub(side))
+            };
+            let mut places: Vec<u32> = (0..count)
+                .flat_map(|index| (0..side.min(length)).map(move |offset| start(index) + offset))
+                .collect();
+            places.dedup();
+            places
+        });
+        let row = |y: u32| columns.iter().map(move |&x| SampledPixel { x, y, samples: 1 });
+        rows.iter().flat_map(|&y| row(y)).collect()
     }
 }
 
-/// The part of an error goal that cutting off may take. In RMSE it adds up with the rest in squares, and so half of it leaves 0.87 for
-/// samples.
+/// The part of an error goal that cutting off may take, if the picture is not to be made again for it. In RMSE it adds up with the rest in
+/// squares.
 pub(super) fn cut_off_share(metric: Metric) -> f64 {
     match metric {
         Metric::Rmse => 0.5,

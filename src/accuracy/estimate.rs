@@ -10,6 +10,7 @@
 
 use super::Metric;
 use super::flip::{Seen, error_map_bound};
+use super::greatest::Deviations;
 use super::metric::mean;
 use crate::render::{mix, normal_quantile, student_widening};
 
@@ -137,12 +138,11 @@ pub(super) fn estimate(
     let (value, upper) = match metric {
         Metric::Rmse => (squares.value.sqrt(), squares.upper.sqrt()),
         Metric::Max => {
-            let (mut value, mut deviation) = (0.0f64, 0.0f64);
-            for pixel in pixels {
-                value = pixel.half_difference.iter().fold(value, |most, x| most.max(f64::from(x.abs())));
-                deviation = deviation.max(pixel.deviation);
-            }
-            (value, max_quantile(pixels_total, confidence) * deviation)
+            let halves = pixels.iter().flat_map(|pixel| pixel.half_difference);
+            let value = halves.fold(0.0, |most: f64, x| most.max(f64::from(x.abs())));
+            let share = pixels_total as f64 / pixels.len().max(1) as f64;
+            let deviations = Deviations::new(pixels.iter().map(|pixel| pixel.deviation));
+            (value, deviations.limit(1.0 - confidence, share, f64::INFINITY))
         }
         Metric::Flip => flip(pixels, width as usize, squares, pixels_total, confidence),
     };
@@ -166,12 +166,10 @@ fn flip(
     let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
     let picture = Seen::of(&means, width);
     drop(means);
-    let map = |mean_square: f64, signs: Signs| {
-        error_map_bound(&Seen::of(&noisy(pixels, mean_square, signs), width), &picture)
-    };
-    // Twice, with signs that are independent: maps that differ as that of the error will differ from them.
-    let maps = [Signs::Kept, Signs::Drawn].map(|signs| map(squares.value, signs));
-    let value = 0.5 * (mean(&maps[0]) + mean(&maps[1]));
+    // With noise as large as it may be; twice, with signs that are independent: maps that differ as that of the error will differ from them.
+    let maps = [Signs::Kept, Signs::Drawn]
+        .map(|signs| error_map_bound(&Seen::of(&noisy(pixels, squares.upper, signs), width), &picture));
+    let most = 0.5 * (mean(&maps[0]) + mean(&maps[1]));
     let differences: Vec<f64> = maps[0].iter().zip(&maps[1]).map(|(a, b)| a - b).collect();
     let blocks = block_sums(&differences, width);
     let count = pixels.len().max(1) as f64;
@@ -182,8 +180,19 @@ fn flip(
     } else {
         spread * quantile * student_widening(blocks.len())
     };
-    let widened = mean(&map(squares.upper, Signs::Kept)) / mean(&maps[0]).max(f64::MIN_POSITIVE);
-    (value, (value + margin) * widened.max(1.0))
+    let less = if squares.upper > 0.0 { squares.value / squares.upper } else { 1.0 };
+    (most * libm::pow(less, 0.5 * FLIP_POWER), most + margin)
+}
+
+/// FLIP grows with the error about to this power.
+pub(super) const FLIP_POWER: f64 = 0.8;
+
+/// What [`estimate`] of FLIP is about, at a third of the work: noise of the size that is held, once, and no margin for its luck.
+pub(super) fn flip_expected(pixels: &[Sampled], width: u32, squares: MeanSquare) -> f64 {
+    let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
+    let picture = Seen::of(&means, width as usize);
+    let noisy = Seen::of(&noisy(pixels, squares.upper, Signs::Kept), width as usize);
+    mean(&error_map_bound(&noisy, &picture))
 }
 
 /// Which sign noise has.
@@ -225,7 +234,7 @@ fn noisy(pixels: &[Sampled], mean_square: f64, signs: Signs) -> Vec<[f32; 3]> {
         .collect()
 }
 
-/// How many deviations hold every channel of every pixel at once with this confidence (Bonferroni).
+/// How many deviations hold every channel of every pixel at once with this confidence, if all have the same (Bonferroni).
 pub(super) fn max_quantile(pixels_total: u64, confidence: f64) -> f64 {
     normal_quantile(1.0 - (1.0 - confidence) / (6.0 * pixels_total.max(1) as f64))
 }

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use super::Metric;
+use super::job::FIRST_SAMPLES;
 use crate::error::RenderError;
-use crate::render::{AdaptiveSampling, Progress};
+use crate::render::Progress;
 
 /// How good or how fast a picture is to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,7 +72,7 @@ impl GoalOptions {
             "it must lie above 0.5 and below 1",
         )?;
         check(
-            self.samples_max.is_power_of_two() && self.samples_max >= AdaptiveSampling::SAMPLES_MIN,
+            self.samples_max.is_power_of_two() && self.samples_max >= FIRST_SAMPLES,
             "most samples per pixel",
             "it must be a power of two, at least 4",
         )?;

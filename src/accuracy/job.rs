@@ -19,6 +19,9 @@ const PROBE_SHARE: u64 = 16;
 /// Confidence of the intervals of pixels where the goal is about the whole picture. It only scales the threshold.
 pub(super) const PIXEL_CONFIDENCE: f64 = 0.95;
 
+/// Samples of every pixel where time is the goal, or the greatest error: what few have not met is not in their error.
+pub(super) const FIRST_SAMPLES: u32 = 4;
+
 pub(super) type GoalProgressFn<'f> = dyn FnMut(GoalProgress) -> Control + Send + 'f;
 
 pub(super) struct Job<'a, 'p> {
@@ -59,7 +62,7 @@ impl<'a, 'p> Job<'a, 'p> {
     }
 }
 
-impl<'a> Job<'a, '_> {
+impl Job<'_, '_> {
     pub fn pixels_total(&self) -> u64 {
         u64::from(self.settings.width) * u64::from(self.settings.height)
     }
@@ -74,28 +77,19 @@ impl<'a> Job<'a, '_> {
         }
     }
 
-    pub fn adaptive(&self, confidence: f64, error: f64) -> Sampling {
+    pub fn adaptive(&self, samples_min: u32, confidence: f64, error: f64) -> Sampling {
         Sampling::Adaptive {
-            samples_min: AdaptiveSampling::SAMPLES_MIN,
+            samples_min,
             samples_max: self.options.samples_max,
             confidence,
             thresholds: vec![TileThreshold { first_tile: TileId(0), error }],
         }
     }
 
-    /// For probes at another contribution bound than that of the settings.
-    pub fn probe_renderer(&self, contribution_bound: f64) -> Result<Renderer<'a>, RenderError> {
-        let settings = RenderSettings { contribution_bound, ..self.probe_settings() };
-        Renderer::new(self.octree, self.scene, &settings, self.budget)
-    }
-
     /// Settings under which a pixel's samples are those that the picture will have.
     pub fn probe_settings(&self) -> RenderSettings {
-        let adaptive = AdaptiveSampling {
-            samples_min: AdaptiveSampling::SAMPLES_MIN,
-            error: 0.0,
-            confidence: PIXEL_CONFIDENCE,
-        };
+        let adaptive =
+            AdaptiveSampling { samples_min: FIRST_SAMPLES, error: 0.0, confidence: PIXEL_CONFIDENCE };
         RenderSettings {
             samples_per_pixel: self.options.samples_max,
             adaptive: Some(adaptive),
@@ -103,15 +97,13 @@ impl<'a> Job<'a, '_> {
         }
     }
 
-    /// A probe of the usual number of pixels, or of one in so many of these.
+    /// A probe of the usual number of pixels.
     pub fn probe<'r>(
         &mut self,
         renderer: &'r Renderer<'_>,
-        one_in: u32,
     ) -> Result<Probe<'r, SceneTracer<'r>>, RenderError> {
         let usual = (self.pixels_total() / PROBE_SHARE).clamp(16, u64::from(PROBE_PIXELS)) as u32;
-        let share = (usual / one_in).max(usual.min(128));
-        let probe = renderer.probe(share, AdaptiveSampling::SAMPLES_MIN, &mut || ask(self.progress))?;
+        let probe = renderer.probe(usual, FIRST_SAMPLES, &mut || ask(self.progress))?;
         probe.ok_or(RenderError::Cancelled)
     }
 

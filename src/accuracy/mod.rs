@@ -13,11 +13,13 @@ mod choose;
 mod estimate;
 mod flip;
 mod goal;
+mod greatest;
 mod job;
 mod knobs;
 mod metric;
 mod predict;
 mod run;
+mod steps;
 pub mod sweep;
 mod time;
 

@@ -2,7 +2,7 @@
 //!
 //! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
 
-use super::estimate::{Estimate, MeanSquare, Sampled, cut_off, estimate, flip_cut_off, mean_square};
+use super::estimate::{Estimate, MeanSquare, Sampled, estimate, mean_square};
 use super::{Metric, check};
 use crate::render::probe::{Level, ProbedCell, ProbedPixel};
 
@@ -38,10 +38,11 @@ impl Prediction<'_> {
         let plan = check::Plan::new(known(), self.pixels_total);
         let chances = known().map(|(samples, deviation)| plan.chance(samples, deviation));
         let squares = self.rows().zip(&pixels).map(|(pixel, sampled)| {
-            let next = pixel.levels.get(pixel.stop(deviation, self.samples_max) + 1);
+            let stop = pixel.stop(deviation, self.samples_max);
+            let (samples, next) = (pixel.levels[stop].samples, pixel.levels.get(stop + 1));
             // The half difference of twice the samples is half of the difference that a check would see.
             next.map_or(sampled.square(), |next| {
-                check::own_part(sampled) * 4.0 * mean_square(&next.half_difference)
+                check::own_part(sampled, samples) * 4.0 * mean_square(&next.half_difference)
             })
         });
         let probed: Vec<(f64, f64)> = squares.zip(chances).collect();
@@ -49,32 +50,9 @@ impl Prediction<'_> {
         estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
     }
 
-    /// The estimate to be expected of a picture with the same few samples everywhere, by its halves: two, or what every pixel has.
-    pub fn estimate_fixed(&self, metric: Metric, samples: u32) -> Estimate {
-        let pixels: Vec<Sampled> = self
-            .rows()
-            .map(|pixel| Sampled::of(if samples == 2 { &pixel.pair } else { &pixel.levels[0] }))
-            .collect();
-        // All pixels tell, but with twice the variance of those that a check would draw: see `MeanSquare::of_halves`.
-        let squares: Vec<(f64, f64)> = pixels.iter().map(|pixel| (pixel.square(), 0.5)).collect();
-        let squares = MeanSquare::expected(&squares, self.pixels_total, self.confidence);
-        estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
-    }
-
-    /// What FLIP makes of what is cut off at a threshold.
-    pub fn flip_cut_off(&self, deviation: f64) -> f64 {
-        flip_cut_off(&self.sampled(deviation), self.width() as u32)
-    }
-
     /// All pixels as they are at a threshold.
     fn sampled(&self, deviation: f64) -> Vec<Sampled> {
         self.rows().map(|pixel| Sampled::of(self.stop(pixel, deviation))).collect()
-    }
-
-    /// What is cut off at a threshold; for FLIP nothing, as its estimate holds it.
-    pub fn cut_off(&self, metric: Metric, deviation: f64) -> f64 {
-        let lost: Vec<f64> = self.rows().map(|pixel| self.stop(pixel, deviation).lost).collect();
-        cut_off(metric, lost.into_iter()).unwrap_or(0.0)
     }
 
     /// How many pixels were probed.

@@ -4,9 +4,8 @@ use std::time::{Duration, Instant};
 
 use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalSeconds, Verdict};
 use super::check::{self, SamplingCheck};
-use super::choose::{Chosen, cut_off_share};
-use super::estimate::{MeanSquare, Sampled, cut_off, estimate, max_quantile, sampling_room};
-use super::job::{GoalProgressFn, Job, PIXEL_CONFIDENCE, PROBE_PIXELS, ask};
+use super::estimate::{MeanSquare, Sampled, cut_off, estimate};
+use super::job::{FIRST_SAMPLES, GoalProgressFn, Job, PIXEL_CONFIDENCE, PROBE_PIXELS, ask};
 use super::time::{self, Steering};
 use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs};
 use crate::LazyOctree;
@@ -15,6 +14,7 @@ use crate::compile::{Control, Threads};
 use crate::error::RenderError;
 use crate::model::Model;
 use crate::octree::Tier;
+use crate::render::draft::Draft;
 use crate::render::{
     AdaptiveSampling, Film, Kept, Outcome, Progress, RenderSettings, RenderedImage, Renderer,
     normal_quantile, resample, worker_count,
@@ -22,8 +22,6 @@ use crate::render::{
 use crate::scene::{EffectPlan, Scene};
 use crate::units::Bytes;
 
-/// Pictures made for an error goal, at most.
-const ATTEMPTS_MAX: u32 = 3;
 /// Tiles for a time goal: each is about the error of the time.
 const STEERED_TILES_MIN: usize = 200;
 /// Part of a time goal that may go into choosing.
@@ -96,7 +94,10 @@ pub fn bytes_needed(
     let render = Renderer::bytes_needed(scene, model, &most, threads)?;
     // While a further picture is made, the best so far is kept.
     let film = Film::bytes_needed(&most.grid(), Kept { statistics: true, costs: most.keep_costs });
-    let probe = Renderer::probe_bytes(scene, model, &most, PROBE_PIXELS)?;
+    let probe = match options.goal {
+        Goal::MaxError { .. } => Draft::bytes_needed(&most, worker_count(threads)),
+        _ => Renderer::probe_bytes(scene, model, &most, PROBE_PIXELS)?,
+    };
     // While one renderer is there for its probe, others come and go.
     let details = Renderer::detail_bytes(scene, model, &most, worker_count(threads) as u32)?;
     // Ray trees of the check are not more than those of the picture.
@@ -138,7 +139,7 @@ pub(super) fn with_certificate(
 }
 
 /// What is estimated of a picture's mean square error.
-enum Known {
+pub(super) enum Known {
     Squares(MeanSquare, Option<SamplingCheck>),
     Nothing,
     /// The caller did not want to wait.
@@ -169,74 +170,7 @@ impl Job<'_, '_> {
         Ok(GoalImage { image, certificate })
     }
 
-    fn max_error(&mut self, metric: Metric, bound: f64) -> Result<GoalImage, RenderError> {
-        let (mut contribution_bound, first) = self.choose(metric, bound)?;
-        self.seconds.choosing = self.start.elapsed().as_secs_f64();
-        let (confidence, quantile) = match metric {
-            Metric::Max => {
-                let quantile = max_quantile(self.pixels_total(), self.options.confidence);
-                let confidence = 1.0 - (1.0 - self.options.confidence) / (3.0 * self.pixels_total() as f64);
-                (confidence, quantile)
-            }
-            _ => (PIXEL_CONFIDENCE, normal_quantile(0.5 + 0.5 * PIXEL_CONFIDENCE)),
-        };
-        let mut best: Option<(f64, GoalImage)> = None;
-        let mut chosen = first;
-        loop {
-            let sampling = match chosen {
-                Chosen::Fixed(samples) => Sampling::Fixed { samples },
-                Chosen::Deviation(deviation) => self.adaptive(confidence, deviation * quantile),
-            };
-            let knobs = Knobs { contribution_bound, ..self.knobs(sampling) };
-            let (image, _) = self.picture(&knobs, None)?;
-            let mut certificate = self.certificate(&image, knobs)?;
-            let reached = certificate.error_bound(metric).unwrap_or(f64::INFINITY);
-            let is_cancelled = certificate.verdict == Verdict::Cancelled;
-            if is_cancelled && best.is_some() {
-                break;
-            }
-            let cut = certificate.cut_off.of(metric).unwrap_or(0.0);
-            let estimated = certificate.estimate(metric).map_or(f64::INFINITY, |estimate| estimate.upper);
-            if !is_cancelled {
-                certificate.verdict = if reached <= bound {
-                    Verdict::Met
-                } else {
-                    self.why_missed(&image, reached, cut, bound)
-                };
-            }
-            let is_done = is_cancelled || reached <= bound;
-            if is_done || best.as_ref().is_none_or(|(least, _)| reached < *least) {
-                best = Some((reached, GoalImage { image, certificate }));
-            }
-            if is_done || self.counters.attempts >= ATTEMPTS_MAX {
-                break;
-            }
-            // What missed by a factor needs a little less than that factor.
-            let most = cut_off_share(metric) * bound;
-            if cut > most {
-                contribution_bound *= (most / cut).max(1.0 / 64.0);
-            }
-            chosen = match chosen {
-                Chosen::Fixed(_) => {
-                    let begun = Instant::now();
-                    let deviation = self.choose_deviation_at(contribution_bound, metric, bound)?;
-                    self.seconds.choosing += begun.elapsed().as_secs_f64();
-                    Chosen::Deviation(deviation)
-                }
-                Chosen::Deviation(deviation) => {
-                    let room = sampling_room(metric, bound, cut.min(most));
-                    let less = (0.9 * room / estimated.max(f64::MIN_POSITIVE)).clamp(0.1, 1.0);
-                    Chosen::Deviation(deviation * less)
-                }
-            };
-        }
-        let (_, mut best) = best.ok_or(RenderError::Cancelled)?;
-        best.certificate.counters = self.counters;
-        best.certificate.seconds = GoalSeconds { total: self.start.elapsed().as_secs_f64(), ..self.seconds };
-        Ok(best)
-    }
-
-    fn why_missed(&self, image: &RenderedImage, reached: f64, cut: f64, bound: f64) -> Verdict {
+    pub(super) fn why_missed(&self, image: &RenderedImage, reached: f64, cut: f64, bound: f64) -> Verdict {
         let most = self.options.samples_max;
         let statistics = image.film.statistics().unwrap_or_default();
         let full = statistics.iter().filter(|pixel| pixel.samples >= most).count();
@@ -257,7 +191,7 @@ impl Job<'_, '_> {
         let settings = self.probe_settings();
         let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
         let begun = Instant::now();
-        let mut probe = self.probe(&renderer, 1)?;
+        let mut probe = self.probe(&renderer)?;
         // Ever more samples, until choosing has had its share of the time.
         let mut deviation = self.prediction(&probe).deviation_max();
         let samples_max = self.options.samples_max;
@@ -289,11 +223,11 @@ impl Job<'_, '_> {
         let least = steering.rays_min();
         drop(probe);
 
-        let mut knobs = self.knobs(self.adaptive(PIXEL_CONFIDENCE, 0.0));
+        let mut knobs = self.knobs(self.adaptive(FIRST_SAMPLES, PIXEL_CONFIDENCE, 0.0));
         knobs.contribution_bound = self.settings.contribution_bound;
         let image = if left * rate < least {
             // Too little time to look at errors: the most samples that fit, the same everywhere.
-            let first = f64::from(AdaptiveSampling::SAMPLES_MIN);
+            let first = f64::from(FIRST_SAMPLES);
             let samples = (left * rate / least * first).floor().clamp(1.0, first - 1.0) as u32;
             knobs.sampling = Sampling::Fixed { samples };
             self.picture(&knobs, None)?.0
@@ -357,20 +291,32 @@ impl Job<'_, '_> {
     }
 
     /// Everything but whether the goal is met.
-    fn certificate(&mut self, image: &RenderedImage, knobs: Knobs) -> Result<Certificate, RenderError> {
+    pub(super) fn certificate(
+        &mut self,
+        image: &RenderedImage,
+        knobs: Knobs,
+    ) -> Result<Certificate, RenderError> {
         let begun = Instant::now();
         let is_whole = image.report.outcome == Outcome::Complete;
         let statistics = image.film.statistics().unwrap_or_default();
         let count = statistics.len().max(1) as f64;
         let lost = || statistics.iter().map(|pixel| f64::from(pixel.lost));
-        let is_known = is_whole && !statistics.is_empty() && statistics.iter().all(|pixel| pixel.samples > 1);
+        // One sample is nothing to go by, but a check goes by others.
+        let is_known = match knobs.sampling {
+            Sampling::Fixed { samples } => samples > 1,
+            Sampling::Adaptive { .. } => true,
+        };
+        let is_known = is_known && is_whole && !statistics.is_empty();
         let pixels = if is_known { sampled(&image.film) } else { Vec::new() };
         let known = if is_known { self.squares(image, &knobs, &pixels)? } else { Known::Nothing };
         let (estimates, check) = match known {
             Known::Squares(squares, check) => {
                 let (width, total) = (image.film.width(), self.pixels_total());
                 let confidence = self.options.confidence;
-                let asked = Metric::ALL.into_iter().filter(|metric| self.is_asked(*metric));
+                // Single samples do not tell the greatest error of many pixels.
+                let few = matches!(knobs.sampling, Sampling::Adaptive { samples_min, .. } if samples_min < FIRST_SAMPLES);
+                let is_told = |metric: &Metric| self.is_asked(*metric) && !(few && *metric == Metric::Max);
+                let asked = Metric::ALL.into_iter().filter(is_told);
                 let estimates =
                     asked.map(|metric| estimate(metric, &pixels, width, squares, total, confidence));
                 (estimates.collect(), check)
@@ -417,7 +363,7 @@ impl Job<'_, '_> {
     }
 
     /// The mean square error that samples show: the picture's own, or further ones where these had a say in stopping.
-    fn squares(
+    pub(super) fn squares(
         &mut self,
         image: &RenderedImage,
         knobs: &Knobs,
@@ -443,14 +389,16 @@ impl Job<'_, '_> {
         let further = again.means.iter().map(|mean| mean.to_array());
         let squares = check::mean_square(pixels, &drawn, further, confidence);
         let is_same = squares.value == halves.value;
+        // Infinite where single samples have no halves.
         let bias = if is_same { 1.0 } else { (squares.value / halves.value).sqrt() };
         let samples = places.iter().map(|pixel| u64::from(pixel.samples)).sum();
-        Ok(Known::Squares(squares, Some(SamplingCheck { pixels: places.len() as u32, samples, bias })))
+        let check = SamplingCheck { pixels: places.len() as u32, samples, bias };
+        Ok(Known::Squares(squares, Some(check)))
     }
 }
 
 /// What is known of each pixel of a film with statistics.
-fn sampled(film: &Film) -> Vec<Sampled> {
+pub(super) fn sampled(film: &Film) -> Vec<Sampled> {
     let pixels = film.pixels().iter().zip(film.statistics().unwrap_or_default());
     pixels
         .map(|(mean, known)| Sampled {

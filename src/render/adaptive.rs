@@ -33,7 +33,8 @@ use serde::{Deserialize, Serialize};
 /// counters depend on the tile size.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AdaptiveSampling {
-    /// Samples of every pixel before its error is looked at; a power of two, at least 4.
+    /// Samples of every pixel before its error is looked at; a power of two. With fewer than four, pixels of even regions get fewer, and what is
+    /// known of neighbours is known from fewer samples.
     pub samples_min: u32,
     /// Half width of the confidence interval at which a pixel is done: radiance, in the unit of the lights. 0 goes on to the most samples
     /// wherever samples differ at all.
@@ -44,9 +45,6 @@ pub struct AdaptiveSampling {
 }
 
 impl AdaptiveSampling {
-    /// Least number of first samples.
-    pub const SAMPLES_MIN: u32 = 4;
-
     /// How many standard deviations the interval spans on either side.
     pub(crate) fn quantile(&self) -> f64 {
         normal_quantile(0.5 + 0.5 * self.confidence)
@@ -134,11 +132,16 @@ impl SampleBlocks {
     }
 
     /// Standard deviation of the mean, in the channel where it is greatest, widened for how few blocks tell it; `contrast` is how far the other mode may be away.
+    /// Of a single sample it is what that alone says.
     pub fn deviation(&self, contrast: DVec3) -> f64 {
         let n = f64::from(self.samples);
         let unseen = (n + 1.0) / ((n + 2.0) * (n + 2.0) * (n + 3.0));
+        let unseen = unseen * contrast * contrast;
+        if self.samples == 1 {
+            return unseen.max_element().sqrt();
+        }
         let widening = self.widening();
-        (widening * widening * self.variance()).max(unseen * contrast * contrast).max_element().sqrt()
+        (widening * widening * self.variance()).max(unseen).max_element().sqrt()
     }
 
     /// Half of the difference between the mean of the first and of the second half of the samples. If the halves were independent,

@@ -47,6 +47,7 @@ mod children;
 mod counters;
 mod detail;
 mod direct;
+pub(crate) mod draft;
 mod emission;
 mod environment;
 mod facets;

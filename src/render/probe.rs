@@ -40,8 +40,6 @@ pub(crate) struct Level {
 pub(crate) struct ProbedPixel {
     blocks: SampleBlocks,
     contrast: DVec3,
-    /// After two samples: a picture of so few is as good as its halves say, as they have no say in stopping.
-    pub pair: Level,
     /// From the first samples on, each with twice the samples of the one before.
     pub levels: Vec<Level>,
 }
@@ -188,12 +186,8 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
         let places: Vec<[u32; 2]> = (0..ground.height)
             .flat_map(|y| (0..ground.width).map(move |x| [ground.x + x, ground.y + y]))
             .collect();
-        let mut pairs = vec![SampleBlocks::EMPTY; blocks.len()];
         let rays = self.trace(&places, 0, samples_min, |place, radiance, lost| {
             blocks[place].add(radiance, lost);
-            if blocks[place].samples() == 2 {
-                pairs[place] = blocks[place];
-            }
         })?;
         let size = [ground.width as usize, ground.height as usize];
         let range = |x: usize, y: usize| blocks[y * size[0] + x].range();
@@ -202,8 +196,7 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
             for x in area.x - ground.x..area.x - ground.x + area.width {
                 let at = [x as usize, y as usize];
                 let (place, contrast) = (at[1] * size[0] + at[0], contrast(size, at, range));
-                let pair = Level::of(&pairs[place], contrast);
-                let mut pixel = ProbedPixel { blocks: blocks[place], contrast, pair, levels: Vec::new() };
+                let mut pixel = ProbedPixel { blocks: blocks[place], contrast, levels: Vec::new() };
                 pixel.record();
                 pixels.push(pixel);
             }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::draft::Draft;
 use super::film::{Film, Kept};
 use super::geometry::{self, Geometry, Surfaces};
 use super::layers::{Layers, layers};
@@ -355,6 +356,22 @@ impl Renderer<'_> {
     ) -> Result<Option<Probe<'_, SceneTracer<'_>>>, RenderError> {
         let query = self.query()?;
         Probe::new(&self.stage, query, pixel_count, samples_min, &self.budget, stop)
+    }
+
+    /// Keeps from now on what the samples of each pixel add up to: each picture goes on with the one before, on as many threads at most. The settings'
+    /// sampling must be adaptive, and statistics kept.
+    ///
+    /// # Errors
+    /// [`RenderError::Budget`] if what is kept does not fit.
+    pub(crate) fn keep_draft(&mut self, threads: &Threads) -> Result<(), RenderError> {
+        let threads = workers::worker_count(threads);
+        self.stage.draft = Some(Draft::new(&self.stage.settings, threads, &self.budget)?);
+        Ok(())
+    }
+
+    /// What is kept, if it is.
+    pub(crate) fn draft(&self) -> Option<&Draft> {
+        self.stage.draft.as_ref()
     }
 
     /// As many samples again of `pixels`, on `threads`; `None` if `stop` said so.

@@ -93,6 +93,25 @@ pub struct RenderReport {
 }
 
 impl RenderReport {
+    /// Adds what was done before by a picture that this one went on with.
+    pub(crate) fn add_before(&mut self, before: &RenderReport) {
+        self.wall_seconds += before.wall_seconds;
+        self.seconds.merge(&before.seconds);
+        self.effects.merge(&before.effects);
+        self.trace.merge(&before.trace);
+        let (cache, earlier) = (&mut self.cache, &before.cache);
+        cache.hits += earlier.hits;
+        cache.misses += earlier.misses;
+        cache.evictions += earlier.evictions;
+        cache.stalls += earlier.stalls;
+        cache.filled_bytes += earlier.filled_bytes;
+        if let (Some(waiting), Some(earlier)) = (&mut self.waiting, &before.waiting) {
+            waiting.loading_seconds += earlier.loading_seconds;
+            waiting.stall_seconds += earlier.stall_seconds;
+            waiting.in_flight_peak = waiting.in_flight_peak.max(earlier.in_flight_peak);
+        }
+    }
+
     /// Block loads per distinct block touched; 1 is the least possible for a cache that starts empty. 0 if nothing was touched.
     pub fn loads_per_touched_block(&self) -> f64 {
         if self.blocks_touched == 0 {

@@ -27,6 +27,8 @@ pub(crate) struct SampledPixel {
 pub(crate) struct Resampled {
     /// Mean of the samples behind those that each pixel has, as many again; in the order of the pixels.
     pub means: Vec<DVec3>,
+    /// The most that these means may lack, beside them.
+    pub lost: Vec<f64>,
     pub effects: EffectCounters,
     pub trace: TraceCounters,
 }
@@ -64,7 +66,11 @@ pub(crate) fn resample<Q: RayQuery>(
         groups: &groups,
         next: AtomicUsize::new(0),
         is_stopped: AtomicBool::new(false),
-        resampled: Mutex::new(Resampled { means: vec![DVec3::ZERO; pixels.len()], ..Resampled::default() }),
+        resampled: Mutex::new(Resampled {
+            means: vec![DVec3::ZERO; pixels.len()],
+            lost: vec![0.0; pixels.len()],
+            ..Resampled::default()
+        }),
         stop: Mutex::new(&mut stop),
         error: Mutex::new(None),
     };
@@ -82,7 +88,7 @@ pub(crate) fn resample<Q: RayQuery>(
 
 /// What [`resample`] takes beside each thread's ray trees.
 pub(crate) fn bytes_needed(pixels: usize) -> usize {
-    pixels * (size_of::<SampledPixel>() + size_of::<DVec3>() + size_of::<usize>())
+    pixels * (size_of::<SampledPixel>() + size_of::<DVec3>() + size_of::<f64>() + size_of::<usize>())
 }
 
 /// Runs of pixels whose samples fill a batch.
@@ -110,7 +116,7 @@ impl Shared<'_> {
             let Some(&[start, end]) = self.groups.get(group..group + 2) else { break };
             let pixels = &self.pixels[start..end];
             sums.clear();
-            sums.resize(pixels.len(), DVec3::ZERO);
+            sums.resize(pixels.len(), (DVec3::ZERO, 0.0));
             let mut samples = pixels
                 .iter()
                 .enumerate()
@@ -125,14 +131,18 @@ impl Shared<'_> {
                     let SampledPixel { x, y, samples } = pixels[index];
                     PixelSample { x, y, number: samples + sample }
                 }))?;
-                for (&(index, _), radiance) in batch.iter().zip(paths.radiance()) {
-                    sums[index] += *radiance;
+                let found = paths.radiance().iter().zip(paths.lost());
+                for (&(index, _), (radiance, lost)) in batch.iter().zip(found) {
+                    sums[index].0 += *radiance;
+                    sums[index].1 += *lost;
                 }
                 self.ask();
             }
-            let means = sums.iter().zip(pixels).map(|(sum, pixel)| *sum / f64::from(pixel.samples));
             let mut resampled = self.resampled.lock();
-            resampled.means[start..end].iter_mut().zip(means).for_each(|(to, mean)| *to = mean);
+            for (index, ((sum, lost), pixel)) in (start..end).zip(sums.iter().zip(pixels)) {
+                resampled.means[index] = *sum / f64::from(pixel.samples);
+                resampled.lost[index] = lost / f64::from(pixel.samples);
+            }
         }
         let mut resampled = self.resampled.lock();
         resampled.effects.merge(&paths.counters);

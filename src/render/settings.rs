@@ -177,9 +177,9 @@ impl RenderSettings {
         if let Some(adaptive) = self.adaptive {
             let (least, most) = (adaptive.samples_min, self.samples_per_pixel);
             check(
-                least.is_power_of_two() && least >= AdaptiveSampling::SAMPLES_MIN,
+                least.is_power_of_two(),
                 "adaptive sampling",
-                "the first samples of a pixel must be a power of two, at least 4",
+                "the first samples of a pixel must be a power of two",
             )?;
             check(
                 most.is_power_of_two() && most >= least,

@@ -8,6 +8,7 @@ use glam::DVec3;
 use super::bound::RadianceBound;
 use super::detail::forced::{self, ForcedDetails};
 use super::detail::maps::{CutOuts, MaterialMaps, cut_outs, maps};
+use super::draft::Draft;
 use super::random::{Dimension, SampleKey, VertexId};
 use super::sampling::{MIDDLE, pixel_offset};
 use super::settings::{PathEnd, RenderSettings};
@@ -229,6 +230,8 @@ pub(crate) struct Stage {
     pub cut_outs: Option<CutOuts>,
     /// Where tiles of pictures come from, if there are any.
     pub textures: Option<Arc<TextureCache>>,
+    /// Where pixels are kept between pictures, if each goes on with the one before.
+    pub draft: Option<Draft>,
 }
 
 impl Stage {
@@ -338,6 +341,7 @@ impl Stage {
             maps: maps(scene, materials, plan, forced_details.as_ref()),
             cut_outs: None,
             textures: None,
+            draft: None,
         };
         if stage.emitters.is_empty() && (force_shadows || plan.forces(Effect::DirectLight)) {
             // In a direction along which no face or edge of a usual model lies: rays along a face meet far more triangles than others.

@@ -8,6 +8,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::adaptive::SampleBlocks;
+use super::draft::{PixelState, Wanted};
 use super::film::{PixelCost, PixelStatistics};
 use super::stage::{PixelSample, Stage};
 use super::tiles::{Area, morton_order};
@@ -46,6 +47,8 @@ pub(super) struct TileSamples {
     costs: Vec<PixelCost>,
     /// Contrast with the neighbours, in that order; only with adaptive sampling.
     contrasts: Vec<DVec3>,
+    /// Deviations, in that order; only if the picture goes on.
+    deviations: Vec<f64>,
     /// Index of each pixel, row by row; only with adaptive sampling.
     places: Vec<u32>,
     /// Pixels that get the samples of this round.
@@ -65,10 +68,12 @@ pub(super) struct FinishedTile {
 }
 
 impl TileSamples {
-    /// Begins the first round of an area of at most a tile's size.
-    pub fn begin(&mut self, stage: &Stage, area: Area) {
+    /// Begins the first round of an area of at most a tile's size, with an error threshold if it is not that of the settings. Where a
+    /// picture goes on, some pixel of the area must have to, at that threshold.
+    pub fn begin(&mut self, stage: &Stage, area: Area, threshold: Option<f64>) {
         let settings = &stage.settings;
-        let ground = if settings.adaptive.is_some() { stage.grid.surroundings(&area) } else { area };
+        let looks_around = settings.adaptive.is_some() && stage.draft.is_none();
+        let ground = if looks_around { stage.grid.surroundings(&area) } else { area };
         // Most tiles have the shape of the one before.
         if [ground.width, ground.height] != [self.place.ground.width, self.place.ground.height] {
             morton_order(ground.width, ground.height, &mut self.pixels);
@@ -87,6 +92,49 @@ impl TileSamples {
         self.first = 0;
         self.per_pixel =
             settings.adaptive.map_or(settings.samples_per_pixel, |adaptive| adaptive.samples_min);
+        if let Some(draft) = &stage.draft {
+            self.contrasts.resize(count, DVec3::ZERO);
+            self.deviations.clear();
+            self.deviations.resize(count, f64::INFINITY);
+            self.places.clear();
+            self.places.resize(count, 0);
+            for (index, [x, y]) in (0u32..).zip(&self.pixels) {
+                self.places[usize::from(*y) * area.width as usize + usize::from(*x)] = index;
+            }
+            draft.read(&area, |x, y, kept| {
+                let index = self.places[(y * area.width + x) as usize] as usize;
+                self.sums[index] = kept.sum;
+                self.blocks[index] = kept.blocks;
+                self.contrasts[index] = kept.contrast;
+                self.deviations[index] = kept.deviation;
+                if let Some(cost) = self.costs.get_mut(index) {
+                    *cost = kept.cost;
+                }
+            });
+            self.go_on(&Wanted::by(stage, draft.least(), threshold));
+        }
+    }
+
+    /// Makes the pixels active that have the fewest samples of those that are to go on; false if none is.
+    fn go_on(&mut self, wanted: &Wanted) -> bool {
+        let TileSamples { active, blocks, deviations, .. } = self;
+        active.clear();
+        let mut least = u32::MAX;
+        for (index, (blocks, deviation)) in (0u32..).zip(blocks.iter().zip(deviations.iter())) {
+            let samples = blocks.samples();
+            if samples <= least && wanted.is_open(samples, *deviation) {
+                if samples < least {
+                    active.clear();
+                    least = samples;
+                }
+                active.push(index);
+            }
+        }
+        if active.is_empty() {
+            return false;
+        }
+        (self.first, self.per_pixel) = (least, wanted.step(least));
+        true
     }
 
     /// Samples of this round.
@@ -184,6 +232,13 @@ impl TileSamples {
     /// they have all samples that they may have.
     pub fn next_round(&mut self, stage: &Stage, threshold: Option<f64>) -> bool {
         let Some(adaptive) = stage.settings.adaptive else { return false };
+        if let Some(draft) = &stage.draft {
+            for &index in &self.active {
+                let index = index as usize;
+                self.deviations[index] = self.blocks[index].deviation(self.contrasts[index]);
+            }
+            return self.go_on(&Wanted::by(stage, draft.least(), threshold));
+        }
         if self.first == 0 {
             self.look_around();
         }
@@ -223,7 +278,7 @@ impl TileSamples {
 
     /// Brings the tile's pixels into the order of the film. Returns how many samples were not needed.
     pub fn finish(&self, stage: &Stage, finished: &mut FinishedTile) -> u64 {
-        let TileSamples { place, pixels, sums, blocks, costs, contrasts, .. } = self;
+        let TileSamples { place, pixels, sums, blocks, costs, contrasts, deviations, .. } = self;
         let settings = &stage.settings;
         let area = &place.area;
         let count = area.width as usize * area.height as usize;
@@ -245,6 +300,14 @@ impl TileSamples {
             }
             return 0;
         }
+        if let Some(draft) = &stage.draft {
+            let states = pixels.iter().enumerate().map(|(index, pixel)| {
+                let cost = costs.get(index).copied().unwrap_or_default();
+                let (sum, blocks, contrast) = (sums[index], blocks[index], contrasts[index]);
+                (*pixel, PixelState { sum, blocks, contrast, deviation: deviations[index], cost })
+            });
+            draft.write(area, states);
+        }
         let mut saved = 0;
         for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {
             let [x, y] = pixel.map(u32::from);
@@ -257,10 +320,16 @@ impl TileSamples {
                 *cost = costs[index];
             }
             if let Some(statistics) = finished.statistics.get_mut(to) {
-                let contrast = contrasts.get(index).copied().unwrap_or(DVec3::ZERO);
+                let deviation = match contrasts.get(index) {
+                    _ if stage.draft.is_some() => deviations[index],
+                    Some(contrast) => blocks[index].deviation(*contrast),
+                    // Without neighbours a single sample says nothing.
+                    None if samples == 1 => f64::INFINITY,
+                    None => blocks[index].deviation(DVec3::ZERO),
+                };
                 *statistics = PixelStatistics {
                     samples,
-                    deviation: blocks[index].deviation(contrast) as f32,
+                    deviation: deviation as f32,
                     half_difference: to_f32(blocks[index].half_difference()),
                     lost: round_up_f32(blocks[index].lost()),
                 };
@@ -275,7 +344,7 @@ impl TileSamples {
         let is_adaptive = settings.adaptive.is_some();
         let border = if is_adaptive { 2 } else { 0 };
         let blocks = if keeps_blocks(stage) { size_of::<SampleBlocks>() } else { 0 };
-        let adaptive = if is_adaptive { size_of::<DVec3>() + size_of::<u32>() } else { 0 };
+        let adaptive = if is_adaptive { size_of::<DVec3>() + size_of::<f64>() + size_of::<u32>() } else { 0 };
         let costs = if settings.keep_costs { size_of::<PixelCost>() } else { 0 };
         tile_pixels(stage, border)
             * (size_of::<[u16; 2]>() + size_of::<DVec3>() + size_of::<u32>() + blocks + costs + adaptive)

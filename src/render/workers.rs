@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use parking_lot::Mutex;
 
 use super::counters::EffectCounters;
+use super::draft::Draft;
 use super::film::Film;
 use super::paths::PathTracer;
 use super::progress::Progress;
@@ -152,12 +153,13 @@ impl Shared<'_> {
         let mut tile = TileId(0);
         let result = make_query().map_err(RenderError::from).and_then(|query| {
             let mut worker = Worker::new(self, self.stage, query);
+            let mut found = FinishedTile::default();
             let result = loop {
-                tile = TileId(self.next.fetch_add(1, Ordering::Relaxed));
-                let Some(cell) = self.order.get(tile.0 as usize) else { break Ok(()) };
-                match worker.render_area_to(self.stage.grid.area(*cell), (self.thresholds)(tile)) {
+                let Some(opened) = self.next_tile(&mut found) else { break Ok(()) };
+                tile = opened.id;
+                match worker.render_area_to(opened.area, opened.threshold) {
                     Ok(true) => {
-                        self.finish(*cell, worker.finished());
+                        self.finish(opened.cell, worker.finished());
                     }
                     Ok(false) => break Ok(()),
                     Err(error) => break Err(RenderError::from(error)),
@@ -182,12 +184,8 @@ impl Shared<'_> {
         let mut tile = TileId(0);
         let result = make_query().and_then(|query| {
             let mut worker = WaitingWorker::new(self, self.stage, plan, query);
-            let mut next_tile = || {
-                let id = TileId(self.next.fetch_add(1, Ordering::Relaxed));
-                let cell = *self.order.get(id.0 as usize)?;
-                let area = self.stage.grid.area(cell);
-                Some(OpenedTile { id, cell, area, threshold: (self.thresholds)(id) })
-            };
+            let mut found = FinishedTile::default();
+            let mut next_tile = || self.next_tile(&mut found);
             let result = worker.run(&mut next_tile, &|cell, finished| self.finish(cell, finished));
             tile = worker.tile();
             let mut totals = self.totals.lock();
@@ -198,6 +196,22 @@ impl Shared<'_> {
             result.map(|_| ())
         });
         self.end(tile, result.map_err(RenderError::from));
+    }
+
+    /// The next tile; those that need no more samples, where a picture goes on, are finished on the way, in `found`.
+    fn next_tile(&self, found: &mut FinishedTile) -> Option<OpenedTile> {
+        loop {
+            let id = TileId(self.next.fetch_add(1, Ordering::Relaxed));
+            let cell = *self.order.get(id.0 as usize)?;
+            let (area, threshold) = (self.stage.grid.area(cell), (self.thresholds)(id));
+            let is_open = |draft: &Draft| {
+                self.stop.load(Ordering::Relaxed) || draft.is_open(self.stage, &area, threshold, found)
+            };
+            if self.stage.draft.as_ref().is_none_or(is_open) {
+                return Some(OpenedTile { id, cell, area, threshold });
+            }
+            self.finish(cell, found);
+        }
     }
 
     /// How a worker ended; `tile` is the one that it was at.
@@ -313,7 +327,7 @@ impl<'s, W: Watch, Q: RayQuery> Worker<'s, W, Q> {
     /// Renders an area of at most a tile's size, with an error threshold other than that of the settings if there is one; false if the
     /// render was stopped before its end.
     pub fn render_area_to(&mut self, area: Area, threshold: Option<f64>) -> Result<bool, TraceError> {
-        self.tile.begin(self.stage, area);
+        self.tile.begin(self.stage, area, threshold);
         loop {
             if !self.trace_round()? {
                 return Ok(false);

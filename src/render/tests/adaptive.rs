@@ -163,7 +163,7 @@ fn senseless_sampling_is_refused() {
     let good = adaptive().adaptive.unwrap();
     for (adaptive, samples_per_pixel) in [
         (AdaptiveSampling { samples_min: 3, ..good }, 64),
-        (AdaptiveSampling { samples_min: 2, ..good }, 64),
+        (AdaptiveSampling { samples_min: 0, ..good }, 64),
         (good, 48),
         (good, 2),
         (AdaptiveSampling { error: -1.0, ..good }, 64),

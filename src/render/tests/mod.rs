@@ -3,6 +3,7 @@
 
 mod adaptive;
 mod detail;
+mod draft;
 mod effects;
 mod finish;
 mod invariance;

@@ -109,7 +109,7 @@ impl Tiles {
             });
             let job = &mut self.jobs[place as usize];
             job.tile = tile;
-            job.samples.begin(stage, tile.area);
+            job.samples.begin(stage, tile.area, tile.threshold);
             (job.begun, job.added) = (0, 0);
             self.open.push_back(place);
         }

@@ -1,0 +1,408 @@
+//! A picture to an error goal, in steps: it goes on until what is known of its error is small enough, and takes no sample twice.
+//!
+//! What a step is expected to bring follows from what is known of each pixel. Only the certificate at its end counts: if that says that
+//! more was expected than came of it, the next step is expected to bring that much less.
+
+use std::time::Instant;
+
+use super::check;
+use super::choose::cut_off_share;
+use super::estimate::{
+    FLIP_POWER, MeanSquare, Sampled, cut_off, estimate, flip_expected, max_quantile, sampling_room,
+};
+use super::greatest::Deviations;
+use super::job::{FIRST_SAMPLES, Job, PIXEL_CONFIDENCE};
+use super::run::{GoalImage, Known, sampled};
+use super::{Certificate, GoalProgress, Knobs, Metric, Sampling, Verdict};
+use crate::error::RenderError;
+use crate::render::{Outcome, Progress, RenderedImage, Renderer, normal_quantile};
+
+/// Pictures made for an error goal, at most: another one has another contribution bound.
+const ATTEMPTS_MAX: u32 = 3;
+/// Steps of a picture, and certificates on the way, at most.
+const STEPS_MAX: u32 = 32;
+const CERTIFICATES_MAX: u32 = 6;
+/// What is aimed at of an error goal.
+const AIM: f64 = 0.98;
+/// Mean square error of pixels that stopped over what their halves say, before a check tells.
+const STOPPING: f64 = 1.07;
+/// What a certificate says of FLIP over what is expected of it, before one is known: margins for luck.
+const FLIP_MARGIN: f64 = 1.04;
+/// How much too large FLIP may be with single samples for more to be added where they are needed most, and not everywhere.
+const FLIP_SINGLES: f64 = 1.4;
+/// Mean square of what a pixel's deviation is over the threshold at which it stopped, as it falls by `2^-3/4` with each doubling.
+const BELOW_THRESHOLD: f64 = 0.62;
+
+/// A picture on its way to an error goal.
+struct Steps<'r, 'a> {
+    renderer: &'r Renderer<'a>,
+    metric: Metric,
+    bound: f64,
+    contribution_bound: f64,
+    /// Samples of every pixel, and whether no pixel has more.
+    samples_first: u32,
+    fixed: Option<u32>,
+    /// Confidence of pixels' intervals, and how many deviations they span.
+    confidence: f64,
+    quantile: f64,
+    /// As it is now, with all that its steps took.
+    image: Option<RenderedImage>,
+    /// The error that was expected last, and what was certified over what was expected.
+    expected: f64,
+    surprise: f64,
+    /// The threshold of the step before.
+    deviation: f64,
+    /// Mean square error of single samples over what their deviations say.
+    singles: f64,
+}
+
+/// What is to be done next.
+enum Next {
+    /// On to where pixels have this deviation.
+    GoOn(f64),
+    /// It may be good enough.
+    Certify,
+    /// No more samples help.
+    End,
+}
+
+impl Job<'_, '_> {
+    pub(super) fn max_error(&mut self, metric: Metric, bound: f64) -> Result<GoalImage, RenderError> {
+        let mut contribution_bound = self.choose_contribution_bound(metric, bound)?;
+        self.seconds.choosing = self.start.elapsed().as_secs_f64();
+        let mut best: Option<(f64, GoalImage)> = None;
+        loop {
+            let found = self.in_steps(metric, bound, contribution_bound)?;
+            let is_cancelled = found.certificate.verdict == Verdict::Cancelled;
+            if is_cancelled && best.is_some() {
+                break;
+            }
+            let reached = found.certificate.error_bound(metric).unwrap_or(f64::INFINITY);
+            let cut = found.certificate.cut_off.of(metric).unwrap_or(0.0);
+            let is_done = is_cancelled || reached <= bound;
+            if is_done || best.as_ref().is_none_or(|(least, _)| reached < *least) {
+                best = Some((reached, found));
+            }
+            // More samples do not help against what is cut off.
+            let most = cut_off_share(metric) * bound;
+            if is_done || cut <= most || self.counters.attempts >= ATTEMPTS_MAX {
+                break;
+            }
+            contribution_bound *= (most / cut).max(1.0 / 64.0);
+        }
+        let (_, mut best) = best.ok_or(RenderError::Cancelled)?;
+        best.certificate.counters = self.counters;
+        best.certificate.seconds = self.seconds;
+        best.certificate.seconds.total = self.start.elapsed().as_secs_f64();
+        Ok(best)
+    }
+
+    /// A picture with this contribution bound, as good as is asked for or as can be.
+    fn in_steps(
+        &mut self,
+        metric: Metric,
+        bound: f64,
+        contribution_bound: f64,
+    ) -> Result<GoalImage, RenderError> {
+        let (confidence, quantile) = match metric {
+            Metric::Max => {
+                let confidence = 1.0 - (1.0 - self.options.confidence) / (3.0 * self.pixels_total() as f64);
+                (confidence, max_quantile(self.pixels_total(), self.options.confidence))
+            }
+            _ => (PIXEL_CONFIDENCE, normal_quantile(0.5 + 0.5 * PIXEL_CONFIDENCE)),
+        };
+        let samples_first = FIRST_SAMPLES;
+        let knobs = Knobs { contribution_bound, ..self.knobs(self.adaptive(samples_first, confidence, 0.0)) };
+        let mut renderer =
+            Renderer::new(self.octree, self.scene, &knobs.settings(&self.settings), self.budget)?;
+        renderer.keep_draft(self.threads)?;
+        self.counters.attempts += 1;
+        let mut steps = Steps {
+            renderer: &renderer,
+            metric,
+            bound,
+            contribution_bound,
+            samples_first,
+            fixed: None,
+            confidence,
+            quantile,
+            image: None,
+            expected: 0.0,
+            surprise: if metric == Metric::Flip { FLIP_MARGIN } else { 1.0 },
+            singles: 1.0,
+            deviation: f64::INFINITY,
+        };
+        let certificate = self.take_steps(&mut steps)?;
+        let image = steps.image.ok_or(RenderError::Cancelled)?;
+        Ok(GoalImage { image, certificate })
+    }
+
+    fn take_steps(&mut self, steps: &mut Steps<'_, '_>) -> Result<Certificate, RenderError> {
+        if let Some(certificate) = self.few_samples(steps)? {
+            return Ok(certificate);
+        }
+        self.step(steps, f64::INFINITY)?;
+        if let Some(draft) = steps.renderer.draft() {
+            draft.look_around();
+        }
+        // For what is known of each pixel now.
+        self.step(steps, f64::INFINITY)?;
+        steps.open_none();
+        let mut certificates = 0;
+        for _ in 0..STEPS_MAX {
+            match self.next(steps) {
+                Next::GoOn(deviation) => {
+                    steps.deviation = deviation;
+                    self.step(steps, deviation)?;
+                }
+                Next::Certify => {
+                    let certificate = self.certify(steps)?;
+                    certificates += 1;
+                    let is_missed = matches!(certificate.verdict, Verdict::NotMet { .. });
+                    if !is_missed || certificates == CERTIFICATES_MAX {
+                        return Ok(certificate);
+                    }
+                    let reached = certificate.error_bound(steps.metric).unwrap_or(f64::INFINITY);
+                    // A little more is done than must be, as another certificate has its price.
+                    steps.surprise = 1.01 * reached / steps.expected.max(f64::MIN_POSITIVE);
+                }
+                Next::End => break,
+            }
+            if steps.is_cancelled() {
+                break;
+            }
+        }
+        self.certify(steps)
+    }
+
+    /// The same few samples everywhere, if they are enough: nothing stops early then. `None` if they are not, or in the greatest error of many pixels, which is not
+    /// known from so few.
+    fn few_samples(&mut self, steps: &mut Steps<'_, '_>) -> Result<Option<Certificate>, RenderError> {
+        if steps.metric == Metric::Max {
+            return Ok(None);
+        }
+        // In FLIP single samples may be enough. What they are worth is told by a check.
+        if steps.metric == Metric::Flip {
+            steps.samples_first = 1;
+            self.step(steps, f64::INFINITY)?;
+            if let Some(draft) = steps.renderer.draft() {
+                draft.look_around();
+            }
+            self.step(steps, f64::INFINITY)?;
+            steps.open_none();
+            if !self.look_at_singles(steps)? || matches!(self.next(steps), Next::Certify) {
+                let certificate = self.certify(steps)?;
+                if !matches!(certificate.verdict, Verdict::NotMet { .. }) {
+                    return Ok(Some(certificate));
+                }
+            }
+            if steps.expected * steps.surprise < FLIP_SINGLES * steps.bound {
+                return Ok(None);
+            }
+        }
+        for samples in [2, FIRST_SAMPLES] {
+            steps.samples_first = samples;
+            self.step(steps, f64::INFINITY)?;
+            let pixels = steps.pixels();
+            let squares = MeanSquare::of_halves(&pixels, self.options.confidence);
+            let width = self.settings.width;
+            let expected = match steps.metric {
+                // A certificate takes longer than this.
+                Metric::Flip => flip_expected(&pixels, width, squares),
+                _ => squares.upper.sqrt(),
+            };
+            // Twice the samples will not halve it.
+            if expected > 2.0 * steps.bound {
+                break;
+            }
+            if expected > steps.bound {
+                continue;
+            }
+            steps.fixed = Some(samples);
+            let certificate = self.certify(steps)?;
+            steps.fixed = None;
+            if !matches!(certificate.verdict, Verdict::NotMet { .. }) {
+                return Ok(Some(certificate));
+            }
+        }
+        steps.samples_first = FIRST_SAMPLES;
+        Ok(None)
+    }
+
+    /// Has a check tell how large errors of single samples are over what their deviations say; false if the caller wants no more.
+    fn look_at_singles(&mut self, steps: &mut Steps<'_, '_>) -> Result<bool, RenderError> {
+        let Some(image) = steps.image.take() else { return Ok(false) };
+        if image.report.outcome == Outcome::Cancelled {
+            steps.image = Some(image);
+            return Ok(false);
+        }
+        let begun = Instant::now();
+        let knobs = self.knobs_of(steps);
+        let pixels = sampled(&image.film);
+        let known = self.squares(&image, &knobs, &pixels)?;
+        steps.image = Some(image);
+        self.seconds.checking += begun.elapsed().as_secs_f64();
+        let Known::Squares(squares, _) = known else { return Ok(false) };
+        let own =
+            pixels.iter().map(|pixel| pixel.deviation.powi(2)).sum::<f64>() / pixels.len().max(1) as f64;
+        if own > 0.0 {
+            steps.singles = squares.value / own;
+        }
+        Ok(true)
+    }
+
+    /// Goes on until every pixel has its first samples and none that can go on has a greater deviation.
+    fn step(&mut self, steps: &mut Steps<'_, '_>, deviation: f64) -> Result<(), RenderError> {
+        if steps.is_cancelled() {
+            return Ok(());
+        }
+        let begun = Instant::now();
+        let error = deviation * steps.quantile;
+        if let Some(draft) = steps.renderer.draft() {
+            draft.set_least(steps.samples_first);
+        }
+        let attempt = self.counters.attempts;
+        let told = &mut *self.progress;
+        let mut progress = |progress: Progress| told(GoalProgress { attempt, progress });
+        // The film is made anew, so that of the step before is not needed any longer.
+        let before = steps.image.take().map(|image| image.report);
+        let mut image = steps.renderer.render_steered(self.threads, &|_| Some(error), &mut progress)?;
+        self.counters.effects.merge(&image.report.effects);
+        self.counters.trace.merge(&image.report.trace);
+        if let Some(before) = before {
+            image.report.add_before(&before);
+        }
+        steps.image = Some(image);
+        self.seconds.rendering += begun.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// What the picture as it is stands for.
+    fn knobs_of(&self, steps: &Steps<'_, '_>) -> Knobs {
+        let sampling = match steps.fixed {
+            Some(samples) => Sampling::Fixed { samples },
+            None => self.adaptive(steps.samples_first, steps.confidence, steps.deviation * steps.quantile),
+        };
+        Knobs { contribution_bound: steps.contribution_bound, ..self.knobs(sampling) }
+    }
+
+    /// What is known of the picture as it is, and whether that is enough.
+    fn certify(&mut self, steps: &mut Steps<'_, '_>) -> Result<Certificate, RenderError> {
+        let knobs = self.knobs_of(steps);
+        let Some(image) = &mut steps.image else { return Err(RenderError::Cancelled) };
+        image.report.samples_per_pixel = steps.fixed.unwrap_or(self.options.samples_max);
+        let mut certificate = self.certificate(image, knobs)?;
+        if certificate.verdict != Verdict::Cancelled {
+            let reached = certificate.error_bound(steps.metric).unwrap_or(f64::INFINITY);
+            let cut = certificate.cut_off.of(steps.metric).unwrap_or(0.0);
+            certificate.verdict = if reached <= steps.bound {
+                Verdict::Met
+            } else {
+                self.why_missed(image, reached, cut, steps.bound)
+            };
+        }
+        Ok(certificate)
+    }
+
+    /// What is to be done next, by what is known of each pixel.
+    fn next(&self, steps: &mut Steps<'_, '_>) -> Next {
+        let (metric, aim) = (steps.metric, AIM * steps.bound / steps.surprise);
+        let pixels = steps.pixels();
+        let samples_max = self.options.samples_max;
+        let samples = steps.samples();
+        let can_go_on = |index: usize| samples[index] < samples_max && pixels[index].deviation > 0.0;
+        let cut = cut_off(metric, pixels.iter().map(|pixel| pixel.lost)).unwrap_or(0.0);
+        let room = sampling_room(metric, aim, cut);
+        let widest = (0..pixels.len())
+            .filter(|&index| can_go_on(index))
+            .fold(0.0f64, |most, index| most.max(pixels[index].deviation));
+        if metric == Metric::Max {
+            let deviations = Deviations::new(pixels.iter().map(|pixel| pixel.deviation));
+            let limit = |most: f64| deviations.limit(1.0 - self.options.confidence, 1.0, most);
+            let found = limit(f64::INFINITY);
+            steps.expected = found + cut;
+            if found <= room {
+                return Next::Certify;
+            }
+            if widest == 0.0 || room <= 0.0 {
+                return Next::End;
+            }
+            let (mut high, mut low) = (widest, widest * 1e-9);
+            for _ in 0..24 {
+                let middle = (high * low).sqrt();
+                if limit(BELOW_THRESHOLD.sqrt() * middle) > room { high = middle } else { low = middle }
+            }
+            // What pixels really come to may be a little above what is expected of them.
+            return Next::GoOn(low.min(0.93 * steps.deviation));
+        }
+        // Single samples have no halves, and stopping makes those of others too small.
+        let square = |index: usize| match samples[index] {
+            1 => steps.singles * pixels[index].deviation.powi(2),
+            _ => STOPPING * pixels[index].square(),
+        };
+        let known = || samples.iter().copied().zip(pixels.iter().map(|pixel| pixel.deviation));
+        let plan = check::Plan::new(known(), self.pixels_total());
+        let chances = known().map(|(samples, deviation)| plan.chance(samples, deviation));
+        let squares: Vec<(f64, f64)> = (0..pixels.len()).map(square).zip(chances).collect();
+        let squares = MeanSquare::expected(&squares, self.pixels_total(), self.options.confidence);
+        let width = self.settings.width;
+        let expected = if metric == Metric::Flip {
+            flip_expected(&pixels, width, squares)
+        } else {
+            estimate(metric, &pixels, width, squares, self.pixels_total(), self.options.confidence).whole
+        };
+        steps.expected = expected;
+        if expected <= aim {
+            return Next::Certify;
+        }
+        if widest == 0.0 || room <= 0.0 {
+            return Next::End;
+        }
+        // The mean square of sampling over that which is there.
+        let less = if metric == Metric::Flip {
+            libm::pow(aim / expected, 2.0 / FLIP_POWER)
+        } else {
+            room * room / (expected * expected - cut * cut)
+        };
+        // A long way is gone in parts, as what is expected of it is not certain.
+        let less = if less < 0.5 { libm::pow(less, 0.75) } else { less };
+        let sum_at = |deviation: f64| {
+            let left = |index: usize| {
+                let over = pixels[index].deviation / deviation;
+                let left = if over > 1.0 && can_go_on(index) { BELOW_THRESHOLD / (over * over) } else { 1.0 };
+                square(index) * left
+            };
+            (0..pixels.len()).map(left).sum::<f64>()
+        };
+        let wanted = less * (0..pixels.len()).map(square).sum::<f64>();
+        let (mut high, mut low) = (widest, widest * 1e-9);
+        for _ in 0..40 {
+            let middle = (high * low).sqrt();
+            if sum_at(middle) > wanted { high = middle } else { low = middle }
+        }
+        Next::GoOn(low.min(0.999 * steps.deviation))
+    }
+}
+
+impl Steps<'_, '_> {
+    fn is_cancelled(&self) -> bool {
+        self.image.as_ref().is_some_and(|image| image.report.outcome == Outcome::Cancelled)
+    }
+
+    /// Sets the threshold to one at which no pixel goes on.
+    fn open_none(&mut self) {
+        let widest = self.pixels().iter().fold(0.0, |most: f64, pixel| most.max(pixel.deviation));
+        // Films hold deviations as f32.
+        self.deviation = widest * (1.0 + 1e-6);
+    }
+
+    fn pixels(&self) -> Vec<Sampled> {
+        self.image.as_ref().map_or_else(Vec::new, |image| sampled(&image.film))
+    }
+
+    /// Samples of each pixel.
+    fn samples(&self) -> Vec<u32> {
+        let statistics = self.image.as_ref().and_then(|image| image.film.statistics()).unwrap_or_default();
+        statistics.iter().map(|pixel| pixel.samples).collect()
+    }
+}
