@@ -88,9 +88,11 @@ fn holds(certificate: &Certificate, found: &Film, reference: &Film) {
     for metric in Metric::ALL {
         let error = metric.distance(reference.pixels(), found.pixels(), found.width());
         let Some(bound) = certificate.error_bound(metric) else {
-            // Nothing is said of the greatest error where pixels have single samples.
-            assert!(matches!(certificate.knobs.sampling, Sampling::Adaptive { samples_min: 1, .. }));
-            assert_eq!(metric, Metric::Max);
+            // Nothing is said of the greatest error where pixels have few samples, which is so in goals about others only.
+            let (Sampling::Fixed { samples: least } | Sampling::Adaptive { samples_min: least, .. }) =
+                certificate.knobs.sampling;
+            assert!(least < 4 && metric == Metric::Max, "{certificate}");
+            assert!(!matches!(certificate.goal, Goal::MaxError { metric: Metric::Max, .. }));
             continue;
         };
         println!("{}: {error:.2e}, certified {bound:.2e}", metric.name());
@@ -200,7 +202,7 @@ fn bounds_hold_as_often_as_they_say() {
     let reference = reference(&octree, &budget, &scene);
     const RUNS: u64 = 10;
     for (metric, bound) in [(Metric::Rmse, 0.01), (Metric::Flip, 0.02), (Metric::Max, 0.1)] {
-        let (mut held, mut met) = ([0; 3], 0);
+        let (mut held, mut said, mut met) = ([0; 3], [0; 3], 0);
         for seed in 1..=RUNS {
             let goal = Goal::MaxError { metric, bound };
             let options = GoalOptions { every_metric: true, ..GoalOptions::new(goal) };
@@ -210,20 +212,29 @@ fn bounds_hold_as_often_as_they_say() {
                 render_to_goal(&octree, &scene, &settings, &options, &Threads::Count(2), &budget, go_on)
                     .unwrap();
             let error = |of: Metric| of.distance(reference.pixels(), image.film.pixels(), image.film.width());
-            for (held, of) in held.iter_mut().zip(Metric::ALL) {
-                // Of the greatest error nothing is said where pixels have single samples.
-                let bound = certificate.error_bound(of);
-                assert!(bound.is_some() || (metric, of) == (Metric::Flip, Metric::Max));
-                *held += u32::from(bound.is_none_or(|bound| error(of) <= bound));
+            for ((held, said), of) in held.iter_mut().zip(&mut said).zip(Metric::ALL) {
+                // Of the greatest error nothing is said where pixels have few samples.
+                if let Some(bound) = certificate.error_bound(of) {
+                    *said += 1u32;
+                    *held += u32::from(error(of) <= bound);
+                }
             }
             if certificate.verdict == Verdict::Met {
                 met += 1;
                 assert!(error(metric) <= bound, "{} {bound} with seed {seed}: {certificate}", metric.name());
             }
         }
-        println!("{} {bound}: {met} of {RUNS} met, {held:?} bounds hold", metric.name());
+        println!("{} {bound}: {met} of {RUNS} met, {held:?} of {said:?} bounds hold", metric.name());
         // At 95 %, two misses of ten happen once in ten times.
-        assert!(held.iter().all(|held| *held >= 8), "{}: {held:?} of {RUNS}", metric.name());
+        let is_held = |(held, said): (&u32, &u32)| held + 2 >= *said;
+        assert!(held.iter().zip(&said).all(is_held), "{}: {held:?} of {said:?}", metric.name());
+        for (said, of) in said.into_iter().zip(Metric::ALL) {
+            assert!(
+                u64::from(said) == RUNS || of == Metric::Max && metric != Metric::Max,
+                "{}: {said}",
+                of.name()
+            );
+        }
         assert!(met >= 8, "{}: {met} of {RUNS} met", metric.name());
     }
 }
@@ -242,7 +253,7 @@ fn rays_may_wait_and_threads_do_not_show() {
     ] {
         let (octree, budget) = open(&source, Tier::Certified);
         let settings = RenderSettings { waiting, width: 40, height: 32, ..settings() };
-        let options = GoalOptions::new(Goal::MaxError { metric: Metric::Rmse, bound: 0.01 });
+        let options = GoalOptions::new(Goal::MaxError { metric: Metric::Rmse, bound: 0.004 });
         let goal = render_to_goal(&octree, &scene, &settings, &options, &threads, &budget, go_on).unwrap();
         assert_eq!(goal.image.report.waiting.is_some(), waiting != WaitingRays::Never);
         let Some(first) = &found else {

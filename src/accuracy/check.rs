@@ -22,7 +22,8 @@ pub struct SamplingCheck {
     /// Samples that took.
     pub samples: u64,
     /// The root mean square error that they show, over what half differences say. Above 1 where pixels stopped because their samples
-    /// happened to agree; below 1 where half differences are too large, as those of stratified samples are.
+    /// happened to agree; below 1 where half differences are too large, as those of stratified samples are; infinite where all pixels have single
+    /// samples, which have no halves.
     pub bias: f64,
 }
 
@@ -93,12 +94,13 @@ pub(super) struct Drawn {
     pub samples: u32,
 }
 
-/// The pixels that are drawn of those of a film, and where they are. A pure function of film and seed.
+/// The pixels that are drawn of those of a film for its `look`th check, and where they are. A pure function of film, seed and look.
 pub(super) fn draw(
     pixels: &[Sampled],
     statistics: &[PixelStatistics],
     width: u32,
     seed: u64,
+    look: u32,
 ) -> (Vec<Drawn>, Vec<SampledPixel>) {
     let known = || statistics.iter().zip(pixels).map(|(known, pixel)| (known.samples, pixel.deviation));
     let plan = Plan::new(known(), pixels.len() as u64);
@@ -107,7 +109,8 @@ pub(super) fn draw(
         .filter_map(|(index, (samples, deviation))| {
             let chance = plan.chance(samples, deviation);
             // 53 bits of luck, apart from that of sample positions.
-            let key = mix(seed ^ mix(index as u64 ^ 0x636f_6e74_726f_6c73));
+            let key =
+                mix(seed ^ mix(index as u64 ^ 0x636f_6e74_726f_6c73) ^ u64::from(look).rotate_right(16));
             let luck = (key >> 11) as f64 / (1u64 << 53) as f64;
             // Films have fewer than 2^32 pixels.
             let (x, y) = (index as u32 % width, index as u32 / width);

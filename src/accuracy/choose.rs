@@ -108,6 +108,8 @@ impl Job<'_, '_> {
             let mut places: Vec<u32> = (0..count)
                 .flat_map(|index| (0..side.min(length)).map(move |offset| start(index) + offset))
                 .collect();
+            // Squares may overlap.
+            places.sort_unstable();
             places.dedup();
             places
         });

@@ -92,9 +92,8 @@ impl MeanSquare {
         MeanSquare { value: sum / count, upper: upper / count }
     }
 
-    /// From square errors of pixels that were probed, and the chances that they would have in a check: what is to be expected of the
-    /// check of a picture of `pixels_total` pixels. Its margin, and two deviations of the probe's own error, as a picture that misses is
-    /// made again.
+    /// From what square errors of pixels are thought to be, and the chances that they would have in a check: what is to be expected of the
+    /// check of a picture of `pixels_total` pixels. Its margin, and two deviations of what is thought, as another certificate has its price.
     pub fn expected(probed: &[(f64, f64)], pixels_total: u64, confidence: f64) -> MeanSquare {
         let count = probed.len().max(1) as f64;
         let (mut sum, mut squares, mut drawn, mut cubes) = (0.0, 0.0, 0.0, 0.0);

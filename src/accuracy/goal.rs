@@ -83,8 +83,10 @@ impl GoalOptions {
 /// How far a render to a goal is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GoalProgress {
-    /// 0 while the knobs are chosen, then the number of the picture that is being made: 1, and more if the first missed the goal.
+    /// 0 while the knobs are chosen, then the number of the picture that is being made: 1, and more if too much was cut off of the first to
+    /// keep the goal.
     pub attempt: u32,
-    /// How far that picture is; all zero while the knobs are chosen.
+    /// How far the step is that the picture is in; all zero while the knobs are chosen. A picture to an error goal takes several steps, each
+    /// over all of it.
     pub progress: Progress,
 }

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::predict::Prediction;
-use super::{GoalCounters, GoalOptions, GoalProgress, GoalSeconds, Knobs, Sampling, TileThreshold};
+use super::{Goal, GoalCounters, GoalOptions, GoalProgress, GoalSeconds, Knobs, Sampling, TileThreshold};
 use crate::LazyOctree;
 use crate::budget::MemoryBudget;
 use crate::compile::{Control, Threads};
@@ -19,7 +19,7 @@ const PROBE_SHARE: u64 = 16;
 /// Confidence of the intervals of pixels where the goal is about the whole picture. It only scales the threshold.
 pub(super) const PIXEL_CONFIDENCE: f64 = 0.95;
 
-/// Samples of every pixel where time is the goal, or the greatest error: what few have not met is not in their error.
+/// Samples of every pixel before any goes on alone: what fewer have not met is not in their error.
 pub(super) const FIRST_SAMPLES: u32 = 4;
 
 pub(super) type GoalProgressFn<'f> = dyn FnMut(GoalProgress) -> Control + Send + 'f;
@@ -33,6 +33,8 @@ pub(super) struct Job<'a, 'p> {
     pub budget: &'a MemoryBudget,
     pub progress: &'p mut GoalProgressFn<'p>,
     pub counters: GoalCounters,
+    /// Certificates that were made to find out whether an error goal is kept.
+    pub looks: u32,
     pub seconds: GoalSeconds,
     pub start: Instant,
 }
@@ -56,6 +58,7 @@ impl<'a, 'p> Job<'a, 'p> {
             budget,
             progress,
             counters: GoalCounters::default(),
+            looks: 0,
             seconds: GoalSeconds::default(),
             start: Instant::now(),
         }
@@ -65,6 +68,18 @@ impl<'a, 'p> Job<'a, 'p> {
 impl Job<'_, '_> {
     pub fn pixels_total(&self) -> u64 {
         u64::from(self.settings.width) * u64::from(self.settings.height)
+    }
+
+    /// Confidence of what the next certificate estimates. The first one that says that an error goal is kept ends the search, so the chance of
+    /// being wrong is shared among all that there may be: three quarters for the first, then an eighth, and half as much each time.
+    pub fn confidence(&self) -> f64 {
+        let is_search = matches!(self.options.goal, Goal::MaxError { .. });
+        let share = match self.looks {
+            _ if !is_search => 1.0,
+            0 => 0.75,
+            looks => libm::exp2(-2.0 - f64::from(looks)),
+        };
+        1.0 - (1.0 - self.options.confidence) * share
     }
 
     pub fn knobs(&self, sampling: Sampling) -> Knobs {

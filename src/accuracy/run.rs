@@ -134,11 +134,12 @@ pub(super) fn with_certificate(
     let mut job = Job::new(octree, scene, settings, &options, threads, budget, &mut progress);
     let knobs = job.knobs(Sampling::Fixed { samples: settings.samples_per_pixel });
     let (image, _) = job.picture(&knobs, None)?;
-    let certificate = job.certificate(&image, knobs)?;
+    let certificate = job.certificate(&image, knobs, None)?;
     Ok(GoalImage { image, certificate })
 }
 
 /// What is estimated of a picture's mean square error.
+#[derive(Clone, Copy)]
 pub(super) enum Known {
     Squares(MeanSquare, Option<SamplingCheck>),
     Nothing,
@@ -153,7 +154,7 @@ impl Job<'_, '_> {
             ..self.knobs(Sampling::Fixed { samples: self.settings.samples_per_pixel })
         };
         let (image, _) = self.picture(&knobs, None)?;
-        let mut certificate = self.certificate(&image, knobs)?;
+        let mut certificate = self.certificate(&image, knobs, None)?;
         if certificate.verdict != Verdict::Cancelled {
             let tier = self.octree.tier();
             certificate.verdict = if !matches!(tier, Tier::Certified | Tier::Exact) {
@@ -238,7 +239,7 @@ impl Job<'_, '_> {
             }
             image
         };
-        let mut certificate = self.certificate(&image, knobs)?;
+        let mut certificate = self.certificate(&image, knobs, None)?;
         if certificate.verdict != Verdict::Cancelled {
             certificate.verdict = if certificate.seconds.total <= 1.1 * limit.as_secs_f64() {
                 Verdict::Met
@@ -290,11 +291,12 @@ impl Job<'_, '_> {
         Ok((image, steering.map(Steering::into_thresholds).unwrap_or_default()))
     }
 
-    /// Everything but whether the goal is met.
+    /// Everything but whether the goal is met. `known`: what is known of the mean square error, if that was asked for already.
     pub(super) fn certificate(
         &mut self,
         image: &RenderedImage,
         knobs: Knobs,
+        known: Option<Known>,
     ) -> Result<Certificate, RenderError> {
         let begun = Instant::now();
         let is_whole = image.report.outcome == Outcome::Complete;
@@ -308,13 +310,19 @@ impl Job<'_, '_> {
         };
         let is_known = is_known && is_whole && !statistics.is_empty();
         let pixels = if is_known { sampled(&image.film) } else { Vec::new() };
-        let known = if is_known { self.squares(image, &knobs, &pixels)? } else { Known::Nothing };
+        let known = match known {
+            _ if !is_known => Known::Nothing,
+            Some(known) => known,
+            None => self.squares(image, &knobs, &pixels)?,
+        };
         let (estimates, check) = match known {
             Known::Squares(squares, check) => {
                 let (width, total) = (image.film.width(), self.pixels_total());
-                let confidence = self.options.confidence;
-                // Single samples do not tell the greatest error of many pixels.
-                let few = matches!(knobs.sampling, Sampling::Adaptive { samples_min, .. } if samples_min < FIRST_SAMPLES);
+                let confidence = self.confidence();
+                // Few samples do not tell the greatest error of many pixels.
+                let (Sampling::Fixed { samples: least } | Sampling::Adaptive { samples_min: least, .. }) =
+                    knobs.sampling;
+                let few = least < FIRST_SAMPLES;
                 let is_told = |metric: &Metric| self.is_asked(*metric) && !(few && *metric == Metric::Max);
                 let asked = Metric::ALL.into_iter().filter(is_told);
                 let estimates =
@@ -369,14 +377,14 @@ impl Job<'_, '_> {
         knobs: &Knobs,
         pixels: &[Sampled],
     ) -> Result<Known, RenderError> {
-        let confidence = self.options.confidence;
+        let confidence = self.confidence();
         let halves = MeanSquare::of_halves(pixels, confidence);
         if matches!(knobs.sampling, Sampling::Fixed { .. }) {
             return Ok(Known::Squares(halves, None));
         }
         let settings = knobs.settings(&self.settings);
         let statistics = image.film.statistics().unwrap_or_default();
-        let (drawn, places) = check::draw(pixels, statistics, image.film.width(), settings.seed);
+        let (drawn, places) = check::draw(pixels, statistics, image.film.width(), settings.seed, self.looks);
         let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
         let (attempt, told) = (self.counters.attempts, &mut *self.progress);
         let progress = whole(image);

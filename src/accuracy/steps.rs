@@ -47,6 +47,9 @@ struct Steps<'r, 'a> {
     quantile: f64,
     /// As it is now, with all that its steps took.
     image: Option<RenderedImage>,
+    /// What a check of it as it is now has said, and a certificate.
+    known: Option<Known>,
+    certificate: Option<Certificate>,
     /// The error that was expected last, and what was certified over what was expected.
     expected: f64,
     surprise: f64,
@@ -127,6 +130,8 @@ impl Job<'_, '_> {
             confidence,
             quantile,
             image: None,
+            known: None,
+            certificate: None,
             expected: 0.0,
             surprise: if metric == Metric::Flip { FLIP_MARGIN } else { 1.0 },
             singles: 1.0,
@@ -163,6 +168,7 @@ impl Job<'_, '_> {
                         return Ok(certificate);
                     }
                     let reached = certificate.error_bound(steps.metric).unwrap_or(f64::INFINITY);
+                    steps.certificate = Some(certificate);
                     // A little more is done than must be, as another certificate has its price.
                     steps.surprise = 1.01 * reached / steps.expected.max(f64::MIN_POSITIVE);
                 }
@@ -172,7 +178,11 @@ impl Job<'_, '_> {
                 break;
             }
         }
-        self.certify(steps)
+        match steps.certificate.take() {
+            // No step was taken since.
+            Some(certificate) => Ok(certificate),
+            None => self.certify(steps),
+        }
     }
 
     /// The same few samples everywhere, if they are enough: nothing stops early then. `None` if they are not, or in the greatest error of many pixels, which is not
@@ -204,7 +214,7 @@ impl Job<'_, '_> {
             steps.samples_first = samples;
             self.step(steps, f64::INFINITY)?;
             let pixels = steps.pixels();
-            let squares = MeanSquare::of_halves(&pixels, self.options.confidence);
+            let squares = MeanSquare::of_halves(&pixels, self.confidence());
             let width = self.settings.width;
             let expected = match steps.metric {
                 // A certificate takes longer than this.
@@ -240,7 +250,7 @@ impl Job<'_, '_> {
         let knobs = self.knobs_of(steps);
         let pixels = sampled(&image.film);
         let known = self.squares(&image, &knobs, &pixels)?;
-        steps.image = Some(image);
+        (steps.image, steps.known) = (Some(image), Some(known));
         self.seconds.checking += begun.elapsed().as_secs_f64();
         let Known::Squares(squares, _) = known else { return Ok(false) };
         let own =
@@ -264,11 +274,16 @@ impl Job<'_, '_> {
         let attempt = self.counters.attempts;
         let told = &mut *self.progress;
         let mut progress = |progress: Progress| told(GoalProgress { attempt, progress });
+        (steps.known, steps.certificate) = (None, None);
         // The film is made anew, so that of the step before is not needed any longer.
         let before = steps.image.take().map(|image| image.report);
         let mut image = steps.renderer.render_steered(self.threads, &|_| Some(error), &mut progress)?;
         self.counters.effects.merge(&image.report.effects);
         self.counters.trace.merge(&image.report.trace);
+        if image.report.outcome == Outcome::Cancelled {
+            // What the steps before have brought is not lost.
+            steps.renderer.fill_in(&mut image.film);
+        }
         if let Some(before) = before {
             image.report.add_before(&before);
         }
@@ -291,7 +306,10 @@ impl Job<'_, '_> {
         let knobs = self.knobs_of(steps);
         let Some(image) = &mut steps.image else { return Err(RenderError::Cancelled) };
         image.report.samples_per_pixel = steps.fixed.unwrap_or(self.options.samples_max);
-        let mut certificate = self.certificate(image, knobs)?;
+        // What a check has said is of samples that stop; of fixed ones the halves tell.
+        let known = steps.known.filter(|_| steps.fixed.is_none());
+        let mut certificate = self.certificate(image, knobs, known)?;
+        self.looks += 1;
         if certificate.verdict != Verdict::Cancelled {
             let reached = certificate.error_bound(steps.metric).unwrap_or(f64::INFINITY);
             let cut = certificate.cut_off.of(steps.metric).unwrap_or(0.0);
@@ -318,13 +336,17 @@ impl Job<'_, '_> {
             .fold(0.0f64, |most, index| most.max(pixels[index].deviation));
         if metric == Metric::Max {
             let deviations = Deviations::new(pixels.iter().map(|pixel| pixel.deviation));
-            let limit = |most: f64| deviations.limit(1.0 - self.options.confidence, 1.0, most);
+            let limit = |most: f64| deviations.limit(1.0 - self.confidence(), 1.0, most);
             let found = limit(f64::INFINITY);
             steps.expected = found + cut;
             if found <= room {
                 return Next::Certify;
             }
-            if widest == 0.0 || room <= 0.0 {
+            // Those that have all the samples they may stay as they are.
+            let exhausted = (0..pixels.len()).filter(|&index| !can_go_on(index));
+            let exhausted = Deviations::new(exhausted.map(|index| pixels[index].deviation));
+            let least = exhausted.limit(1.0 - self.confidence(), 1.0, f64::INFINITY);
+            if widest == 0.0 || least > room {
                 return Next::End;
             }
             let (mut high, mut low) = (widest, widest * 1e-9);
@@ -344,12 +366,12 @@ impl Job<'_, '_> {
         let plan = check::Plan::new(known(), self.pixels_total());
         let chances = known().map(|(samples, deviation)| plan.chance(samples, deviation));
         let squares: Vec<(f64, f64)> = (0..pixels.len()).map(square).zip(chances).collect();
-        let squares = MeanSquare::expected(&squares, self.pixels_total(), self.options.confidence);
+        let squares = MeanSquare::expected(&squares, self.pixels_total(), self.confidence());
         let width = self.settings.width;
         let expected = if metric == Metric::Flip {
             flip_expected(&pixels, width, squares)
         } else {
-            estimate(metric, &pixels, width, squares, self.pixels_total(), self.options.confidence).whole
+            estimate(metric, &pixels, width, squares, self.pixels_total(), self.confidence()).whole
         };
         steps.expected = expected;
         if expected <= aim {

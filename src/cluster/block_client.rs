@@ -297,6 +297,12 @@ impl BlockClient {
                     *deadline = now.saturating_add(self.options.answer_time_max);
                 }
                 self.ahead_bytes = self.ahead_bytes.saturating_sub(self.stored_bytes(block.0));
+            } else {
+                // Patience is that of the last who came.
+                wanted.since = now;
+                if matches!(wanted.stage, Stage::GivenUp) {
+                    self.begin(block.0, now, actions);
+                }
             }
             return true;
         }
@@ -306,11 +312,12 @@ impl BlockClient {
         true
     }
 
-    /// What one who waits for a block has to do next.
+    /// What one who waits for a block ([`BlockClient::want`]) has to do next; [`Need::GiveUp`] if nobody does.
     pub fn need(&mut self, block: BlockId, now: Duration, actions: &mut Vec<Action>) -> Need {
         // Each turn goes a step on, and a round ends with a wait, with the own file, or by giving up.
         loop {
-            let Some(wanted) = self.wanted.get_mut(&block.0) else { return Need::GiveUp };
+            let waited = self.wanted.get_mut(&block.0).filter(|wanted| wanted.waiting > 0);
+            let Some(wanted) = waited else { return Need::GiveUp };
             match &mut wanted.stage {
                 Stage::Here(bytes, giver) => {
                     let (bytes, giver) = (Arc::clone(bytes), *giver);

@@ -12,7 +12,7 @@ use super::file_fetch::{FileFetch, NAME, failed};
 use crate::block::checksum;
 use crate::budget::MemoryBudget;
 use crate::error::{BudgetError, SourceError};
-use crate::model::Model;
+use crate::model::{BlockEntry, Model};
 use crate::source::{BlockSource, DIRECTORY};
 use crate::transport::{Transport, TransportEvent};
 use crate::units::{BlockId, Bytes};
@@ -215,16 +215,18 @@ impl RemoteSource {
         has_failed
     }
 
-    /// Reads a block from the node's own file, and says whether it is as it should be.
+    /// Reads a block from the node's own copy, and if that is damaged from its file, and says whether it is as it should be.
     fn read_own(&self, block: BlockId, into: &mut Vec<u8>) -> (Result<(), SourceError>, bool) {
-        let Some(own) = self.copy.get().or(self.fallback.as_ref()) else {
-            let reason = "this node does not have the file".to_owned();
-            return (Err(failed(&format!("block {}", block.0), io::ErrorKind::NotFound, reason)), false);
-        };
-        let read = own.read_block(block, into);
-        let is_sound =
-            read.is_ok() && self.model.entry(block).is_some_and(|entry| checksum(into) == entry.checksum);
-        (read, is_sound)
+        let reason = "this node does not have the file".to_owned();
+        let mut read = Err(failed(&format!("block {}", block.0), io::ErrorKind::NotFound, reason));
+        for own in self.copy.get().into_iter().chain(&self.fallback) {
+            read = own.read_block(block, into);
+            let is_as_it_should = |entry: &BlockEntry| checksum(into) == entry.checksum;
+            if read.is_ok() && self.model.entry(block).is_some_and(is_as_it_should) {
+                return (read, true);
+            }
+        }
+        (read, false)
     }
 
     /// Waits until something changes, or until a time. One of those that wait for an answer receives for all.

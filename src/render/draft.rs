@@ -144,7 +144,7 @@ impl Draft {
         self.kept.lock().least
     }
 
-    /// Measures the contrast of each pixel with its neighbours; to be called once, when all have the first samples of adaptive sampling.
+    /// Measures the contrast of each pixel with its neighbours; to be called when all have the first samples of adaptive sampling, before any goes on alone.
     pub fn look_around(&self) {
         let mut kept = self.kept.lock();
         let (width, height) = (self.width, kept.pixels.len() / self.width);
@@ -190,14 +190,25 @@ impl Draft {
         let wanted = Wanted::by(stage, self.least(), threshold);
         let mut is_open = false;
         self.read(area, |_, _, pixel| is_open |= wanted.is_open(pixel.blocks.samples(), pixel.deviation));
-        if is_open {
-            return true;
+        if !is_open {
+            self.show(stage, area, finished);
         }
-        finished.pixels.clear();
-        finished.statistics.clear();
-        finished.costs.clear();
+        is_open
+    }
+
+    /// What a film shows of an area as it is: `false` if a pixel has no sample yet.
+    pub(super) fn show(&self, stage: &Stage, area: &Area, finished: &mut FinishedTile) -> bool {
         let settings = &stage.settings;
+        let count = area.width as usize * area.height as usize;
+        finished.pixels.clear();
+        finished.pixels.reserve_exact(count);
+        finished.statistics.clear();
+        finished.statistics.reserve_exact(if settings.keep_statistics { count } else { 0 });
+        finished.costs.clear();
+        finished.costs.reserve_exact(if settings.keep_costs { count } else { 0 });
+        let mut is_whole = true;
         self.read(area, |_, _, pixel| {
+            is_whole &= pixel.blocks.samples() > 0;
             finished.pixels.push(pixel.mean());
             if settings.keep_statistics {
                 finished.statistics.push(pixel.statistics());
@@ -206,6 +217,6 @@ impl Draft {
                 finished.costs.push(pixel.cost);
             }
         });
-        false
+        is_whole
     }
 }

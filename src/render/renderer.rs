@@ -13,6 +13,7 @@ use super::report::{Outcome, RenderReport, WaitingReport};
 use super::resample::{self, Resampled, SampledPixel};
 use super::settings::{RenderSettings, WaitingRays};
 use super::stage::Stage;
+use super::tile_samples::FinishedTile;
 use super::waiting::{Extent, PoolQuery, WaitingPlan};
 use super::workers::{self, ProgressFn, Thresholds, Totals};
 use super::{Progress, paths};
@@ -372,6 +373,21 @@ impl Renderer<'_> {
     /// What is kept, if it is.
     pub(crate) fn draft(&self) -> Option<&Draft> {
         self.stage.draft.as_ref()
+    }
+
+    /// Puts on the film of a render that was stopped what is kept of the tiles that it did not come to.
+    pub(crate) fn fill_in(&self, film: &mut Film) {
+        let Some(draft) = &self.stage.draft else { return };
+        let mut kept = FinishedTile::default();
+        let grid = &self.stage.grid;
+        for cell in 0..grid.tile_count() as u32 {
+            let area = grid.area(cell);
+            if !film.is_finished(area.x, area.y) && draft.show(&self.stage, &area, &mut kept) {
+                film.set_tile(grid, cell, &kept.pixels);
+                film.set_statistics(grid, cell, &kept.statistics);
+                film.set_costs(grid, cell, &kept.costs);
+            }
+        }
     }
 
     /// As many samples again of `pixels`, on `threads`; `None` if `stop` said so.

@@ -56,6 +56,8 @@ pub(super) struct TileSamples {
     /// The round gives each of them samples `first .. first + per_pixel`.
     first: u32,
     per_pixel: u32,
+    /// Samples that its pixels had at the beginning, where the picture goes on.
+    had: u64,
 }
 
 /// The pixels of a finished tile, row by row.
@@ -89,7 +91,7 @@ impl TileSamples {
         self.contrasts.clear();
         self.active.clear();
         self.active.extend(0..count as u32);
-        self.first = 0;
+        (self.first, self.had) = (0, 0);
         self.per_pixel =
             settings.adaptive.map_or(settings.samples_per_pixel, |adaptive| adaptive.samples_min);
         if let Some(draft) = &stage.draft {
@@ -103,6 +105,7 @@ impl TileSamples {
             }
             draft.read(&area, |x, y, kept| {
                 let index = self.places[(y * area.width + x) as usize] as usize;
+                self.had += u64::from(kept.blocks.samples());
                 self.sums[index] = kept.sum;
                 self.blocks[index] = kept.blocks;
                 self.contrasts[index] = kept.contrast;
@@ -276,7 +279,7 @@ impl TileSamples {
         self.active.retain(|&index| place.is_own(pixels[index as usize]));
     }
 
-    /// Brings the tile's pixels into the order of the film. Returns how many samples were not needed.
+    /// Brings the tile's pixels into the order of the film. Returns how many samples were not needed, or were there before.
     pub fn finish(&self, stage: &Stage, finished: &mut FinishedTile) -> u64 {
         let TileSamples { place, pixels, sums, blocks, costs, contrasts, deviations, .. } = self;
         let settings = &stage.settings;
@@ -308,7 +311,7 @@ impl TileSamples {
             });
             draft.write(area, states);
         }
-        let mut saved = 0;
+        let mut saved = self.had;
         for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {
             let [x, y] = pixel.map(u32::from);
             let (x, y) = (place.ground.x + x - area.x, place.ground.y + y - area.y);

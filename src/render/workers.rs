@@ -210,6 +210,10 @@ impl Shared<'_> {
             if self.stage.draft.as_ref().is_none_or(is_open) {
                 return Some(OpenedTile { id, cell, area, threshold });
             }
+            // They have all that they are to have.
+            let pixels = u64::from(area.width) * u64::from(area.height);
+            self.samples
+                .fetch_add(pixels * u64::from(self.stage.settings.samples_per_pixel), Ordering::Relaxed);
             self.finish(cell, found);
         }
     }
