@@ -388,21 +388,62 @@ impl Job<'_, '_> {
         };
         // A long way is gone in parts, as what is expected of it is not certain.
         let less = if less < 0.5 { libm::pow(less, 0.75) } else { less };
-        let sum_at = |deviation: f64| {
-            let left = |index: usize| {
-                let over = pixels[index].deviation / deviation;
-                let left = if over > 1.0 && can_go_on(index) { BELOW_THRESHOLD / (over * over) } else { 1.0 };
-                square(index) * left
-            };
-            (0..pixels.len()).map(left).sum::<f64>()
-        };
-        let wanted = less * (0..pixels.len()).map(square).sum::<f64>();
+        let open = OpenPixels::new(
+            (0..pixels.len()).map(|index| (pixels[index].deviation, square(index), can_go_on(index))),
+        );
+        let wanted = less * open.sum_at(f64::INFINITY);
         let (mut high, mut low) = (widest, widest * 1e-9);
         for _ in 0..40 {
             let middle = (high * low).sqrt();
-            if sum_at(middle) > wanted { high = middle } else { low = middle }
+            if open.sum_at(middle) > wanted { high = middle } else { low = middle }
         }
         Next::GoOn(low.min(0.999 * steps.deviation))
+    }
+}
+
+/// Square errors of pixels, in the order of their deviations.
+struct OpenPixels {
+    /// Of those that can go on, the greatest first: deviation, square errors of those before over their square deviations, and square errors of it
+    /// and those behind.
+    pixels: Vec<(f64, f64, f64)>,
+    /// Square errors of the others.
+    others: f64,
+    /// Square errors over square deviations of all that can go on.
+    over: f64,
+}
+
+impl OpenPixels {
+    /// From deviations, square errors, and which ones can go on.
+    fn new(pixels: impl Iterator<Item = (f64, f64, bool)>) -> OpenPixels {
+        let (mut open, mut others) = (Vec::new(), 0.0);
+        for (deviation, square, can_go_on) in pixels {
+            if can_go_on {
+                open.push((deviation, square / (deviation * deviation), square));
+            } else {
+                others += square;
+            }
+        }
+        // Stable, so that the sums are the same each time.
+        open.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let (mut over, mut behind) = (0.0, 0.0);
+        for (_, ratio, _) in &mut open {
+            let before = over;
+            over += *ratio;
+            *ratio = before;
+        }
+        for (_, _, square) in open.iter_mut().rev() {
+            behind += *square;
+            *square = behind;
+        }
+        OpenPixels { pixels: open, others, over }
+    }
+
+    /// What square errors are expected to add up to if pixels go on until none has a greater deviation.
+    fn sum_at(&self, deviation: f64) -> f64 {
+        let wider = self.pixels.partition_point(|pixel| pixel.0 > deviation);
+        let (over, behind) = self.pixels.get(wider).map_or((self.over, 0.0), |pixel| (pixel.1, pixel.2));
+        let gone_on = if wider > 0 { BELOW_THRESHOLD * deviation * deviation * over } else { 0.0 };
+        self.others + gone_on + behind
     }
 }
 
@@ -426,5 +467,35 @@ impl Steps<'_, '_> {
     fn samples(&self) -> Vec<u32> {
         let statistics = self.image.as_ref().and_then(|image| image.film.statistics()).unwrap_or_default();
         statistics.iter().map(|pixel| pixel.samples).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::procedural::random::Random;
+
+    /// Against the sum pixel by pixel.
+    #[test]
+    fn sums_of_open_pixels_are_those_of_each() {
+        let mut random = Random::new(3);
+        let pixels: Vec<(f64, f64, bool)> = (0..500)
+            .map(|index| {
+                // Some are alike.
+                let deviation = 0.01 * (1.0 + (20.0 * random.unit()).floor());
+                (deviation, random.unit(), index % 7 != 0)
+            })
+            .collect();
+        let open = OpenPixels::new(pixels.iter().copied());
+        for threshold in [0.0, 0.005, 0.01, 0.055, 0.1, 0.13, 0.2, 0.5, f64::INFINITY] {
+            let left = |&(deviation, square, can_go_on): &(f64, f64, bool)| {
+                let over = deviation / threshold;
+                if can_go_on && over > 1.0 { square * BELOW_THRESHOLD / (over * over) } else { square }
+            };
+            let expected: f64 = pixels.iter().map(left).sum();
+            let found = open.sum_at(threshold);
+            assert!((found - expected).abs() <= 1e-9 * expected, "{threshold}: {found}, not {expected}");
+        }
+        assert_eq!(OpenPixels::new(std::iter::empty()).sum_at(1.0), 0.0);
     }
 }
