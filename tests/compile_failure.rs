@@ -170,7 +170,7 @@ fn inputs_that_are_not_there_or_say_nothing() {
     let mut go_on = |_| Control::Continue;
     let options = CompileOptions::default();
     let missing = place.path().join("missing.ply");
-    match compile_file(&missing, &place.output(), &options, &budget, &mut go_on) {
+    match compile_file(&missing, place.output(), &options, &budget, &mut go_on) {
         Err(CompileError::Import(ImportError::Io { path, error })) => {
             assert_eq!((path, error.kind()), (missing, io::ErrorKind::NotFound));
         }

@@ -17,7 +17,7 @@ fn budget() -> MemoryBudget {
 }
 
 fn compile(input: &Path, options: &CompileOptions) -> Result<CompileReport, CompileError> {
-    compile_file(input, &input.with_extension("outcrop"), options, &budget(), &mut |_| Control::Continue)
+    compile_file(input, input.with_extension("outcrop"), options, &budget(), &mut |_| Control::Continue)
 }
 
 fn lazy(input: &Path) -> LazyModel {

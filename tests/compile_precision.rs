@@ -104,7 +104,7 @@ fn compile_path(
 ) -> (CompileReport, Vec<u8>) {
     let place = Place::new();
     let budget = MemoryBudget::new(budget);
-    let report = compile_file(input, &place.output(), options, &budget, &mut |_| Control::Continue).unwrap();
+    let report = compile_file(input, place.output(), options, &budget, &mut |_| Control::Continue).unwrap();
     assert_eq!(budget.used(), Bytes(0));
     assert_eq!(place.files(), ["model.outcrop"]);
     (report, std::fs::read(place.output()).unwrap())

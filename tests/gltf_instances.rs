@@ -139,7 +139,7 @@ impl Sample {
         let folder = tempfile::tempdir().unwrap();
         let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
         let options = ImportOptions::default().with_gltf_part(part);
-        import_file(&self.write(folder.path()), &options, &mut mesh).map(|_| mesh)
+        import_file(self.write(folder.path()), &options, &mut mesh).map(|_| mesh)
     }
 }
 
@@ -328,7 +328,7 @@ fn copies_of_the_extension_are_those_of_nodes() {
     let far = one.vertices.iter().flatten().zip(other.vertices.iter().flatten()).map(|(a, b)| (a - b).abs());
     assert!(far.fold(0.0, f64::max) < 1e-7);
     let folder = tempfile::tempdir().unwrap();
-    let found = GltfInstances::read_for(&by_extension.write(folder.path()), 1).unwrap().unwrap();
+    let found = GltfInstances::read_for(by_extension.write(folder.path()), 1).unwrap().unwrap();
     assert_eq!((found.parts.len(), found.instances.len()), (2, 4));
     assert_eq!(by_extension.import(GltfPart::Mesh(1)).unwrap().triangles.len() as u64, BALL_TRIANGLES);
 }

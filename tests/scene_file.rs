@@ -103,7 +103,7 @@ fn every_documented_key_is_read() {
         Light::area(LightShape::Disc { center: [3.0; 3], normal: [-1.0; 3], radius: 0.5 }, [5.0, 4.0, 3.0]),
         Light::area(LightShape::Sphere { center: [-3.0, 3.0, 3.0], radius: 0.25 }, [6.0; 3]),
     ];
-    let image = EnvironmentImage::read(&folder.path().join("sky.hdr"), &budget).unwrap();
+    let image = EnvironmentImage::read(folder.path().join("sky.hdr"), &budget).unwrap();
     let expected = Scene::new(camera)
         .with_lights(lights)
         .with_background([0.1, 0.2, 0.3])

@@ -83,7 +83,7 @@ fn compiled(folder: &Path) -> Arc<DiskSource> {
     let options = CompileOptions { block_bytes: 8 << 10, codec: Codec::Lz4, ..CompileOptions::default() };
     let budget = MemoryBudget::new(Bytes::mib(64));
     let report =
-        compile_file(&folder.join("model.obj"), &output, &options, &budget, &mut |_| Control::Continue)
+        compile_file(folder.join("model.obj"), &output, &options, &budget, &mut |_| Control::Continue)
             .unwrap();
     assert_eq!(report.triangles_with_attributes, report.triangles);
     Arc::new(DiskSource::open(&output).unwrap())

@@ -165,7 +165,7 @@ fn make(
         _ => String::new(),
     };
     let file = format!("{}.png", entry.name);
-    image.film.write(&options.output.join(&file))?;
+    image.film.write(options.output.join(&file))?;
     println!(
         "{}: {} rays in {:.1} s",
         options.output.join(&file).display(),

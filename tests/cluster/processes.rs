@@ -62,7 +62,7 @@ fn node() {
                 Control::Continue
             };
             let done = run_coordinator(&hub, coordinator, Some(checkpoint), PATIENCE, &mut observe).unwrap();
-            done.film().write(&Path::new(&folder).join("picture.pfm")).unwrap();
+            done.film().write(Path::new(&folder).join("picture.pfm")).unwrap();
             println!("finished {}", done.progress().cells_done);
         }
         "worker" => {

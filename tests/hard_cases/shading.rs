@@ -120,7 +120,7 @@ fn compiled(folder: &Path, obj: &str, mtl: &str, block_bytes: u32) -> Arc<dyn Bl
     let output = folder.join(format!("model{block_bytes}.outcrop"));
     let options = CompileOptions { block_bytes, ..Default::default() };
     let budget = MemoryBudget::new(Bytes::mib(64));
-    compile_file(&folder.join("model.obj"), &output, &options, &budget, &mut |_| Control::Continue).unwrap();
+    compile_file(folder.join("model.obj"), &output, &options, &budget, &mut |_| Control::Continue).unwrap();
     Arc::new(DiskSource::open(&output).unwrap())
 }
 

@@ -26,7 +26,7 @@ fn complete(mesh: &Mesh) -> (Vec<u8>, Vec<u64>) {
     }
     assert!(model.is_complete());
     drop(model);
-    (fs::read(LazyModel::working_path(&place.output())).unwrap(), ends)
+    (fs::read(LazyModel::working_path(place.output())).unwrap(), ends)
 }
 
 /// What is expected of a mesh.

@@ -20,7 +20,7 @@ fn a_second_one_is_refused_by_name_while_the_first_lives() {
     let (mesh, place) = (gears(), Place::new());
     let first = open(&mesh, &place.output(), &small(), &budget()).unwrap();
     let error = open(&mesh, &place.output(), &small(), &budget()).unwrap_err();
-    let working = LazyModel::working_path(&place.output());
+    let working = LazyModel::working_path(place.output());
     assert!(matches!(&error, CompileError::Locked { path } if *path == working), "{error}");
     assert!(error.to_string().contains("model.outcrop.working"), "{error}");
     drop(first);
@@ -34,7 +34,7 @@ fn another_source_or_other_options_start_anew() {
         let budget = budget();
         let emit = |compiler: &mut Compiler<'_>| mesh.emit(compiler);
         let go_on = &mut |_| Control::Continue;
-        let model = LazyModel::from_mesh(source, &place.output(), options, &budget, go_on, emit).unwrap();
+        let model = LazyModel::from_mesh(source, place.output(), options, &budget, go_on, emit).unwrap();
         let report = model.report();
         model.cut_cell(CellId(0)).unwrap();
         (report.was_reopened, report.cells_cut)
@@ -74,7 +74,7 @@ fn a_model_file_that_changed_is_read_again() {
         let shape = Gears::with_tessellation(1, Tessellation::new(tessellation).unwrap()).unwrap();
         write_ply(&shape, &input, false).unwrap();
         for time in 0..times {
-            let model = LazyModel::open(&input, &place.output(), &small(), &budget(), go_on).unwrap();
+            let model = LazyModel::open(&input, place.output(), &small(), &budget(), go_on).unwrap();
             assert_eq!(model.report().was_reopened, time > 0);
             assert_eq!(model.report().triangles, Mesh::of(&shape).triangles.len() as u64);
         }
@@ -90,7 +90,7 @@ fn a_first_pass_that_is_broken_off_leaves_nothing_that_opens() {
         Err(CompileError::Cancelled)
     };
     let go_on = &mut |_| Control::Continue;
-    let result = LazyModel::from_mesh(SOURCE, &place.output(), &small(), &budget, go_on, emit);
+    let result = LazyModel::from_mesh(SOURCE, place.output(), &small(), &budget, go_on, emit);
     assert!(matches!(result, Err(CompileError::Cancelled)));
     assert_eq!(budget.used(), Bytes(0));
     assert!(!open(&mesh, &place.output(), &small(), &budget).unwrap().report().was_reopened);
@@ -113,7 +113,7 @@ fn a_full_disk_is_named_and_what_was_cut_stays() {
         model.report().working_bytes
     };
     // No room for the cells themselves.
-    fs::remove_file(LazyModel::working_path(&place.output())).unwrap();
+    fs::remove_file(LazyModel::working_path(place.output())).unwrap();
     let error = open(&mesh, &place.output(), &limited(cells / 2), &budget()).unwrap_err();
     assert!(matches!(error, CompileError::Write { .. }), "{error}");
     // Room for them and for some that are cut.

@@ -16,7 +16,7 @@ type Outcome = Result<(MeshBuffer, ImportReport), ImportError>;
 impl Folder {
     fn import(&self, name: &str, bytes: impl AsRef<[u8]>) -> Outcome {
         let mut mesh = MeshBuffer::new();
-        let report = import_file(&self.write(name, bytes), &ImportOptions::default(), &mut mesh)?;
+        let report = import_file(self.write(name, bytes), &ImportOptions::default(), &mut mesh)?;
         super::check(&mesh, &report);
         Ok((mesh, report))
     }
@@ -387,7 +387,7 @@ fn attributes_and_pictures_go_along() {
 
     let short = sample.with("/accessors/2/count", json!(3));
     let mut mesh = MeshBuffer { keep_attributes: true, ..MeshBuffer::new() };
-    let outcome = import_file(&folder.write("z.glb", short.binary()), &ImportOptions::default(), &mut mesh);
+    let outcome = import_file(folder.write("z.glb", short.binary()), &ImportOptions::default(), &mut mesh);
     assert!(refused(outcome.map(|report| (mesh, report))).1.contains("3 elements beside 4"));
 }
 

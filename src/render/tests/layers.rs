@@ -109,7 +109,7 @@ fn layers_are_written_and_read_back() {
     assert!(hits.len() < found.pixels().len());
     assert!((0..4).all(|material| hits.iter().any(|pixel| pixel.material == MaterialId(material))));
     assert!((0..3).all(|axis| hits.iter().any(|pixel| pixel.normal[axis] != 0.0)));
-    assert!(found.write(&picture.film, &folder.path().join("layers.png")).is_err());
+    assert!(found.write(&picture.film, folder.path().join("layers.png")).is_err());
     let small = render(&mesh, &scene, &RenderSettings::new(3, 3));
     assert!(matches!(found.write(&small.film, &path), Err(RenderError::Setting { .. })));
 }

@@ -73,7 +73,7 @@ mod tests {
     fn a_written_picture_is_read_back() {
         let folder = tempfile::tempdir().unwrap();
         let budget = MemoryBudget::new(Bytes::mib(1));
-        let image = EnvironmentImage::read(&written(folder.path()), &budget).unwrap();
+        let image = EnvironmentImage::read(written(folder.path()), &budget).unwrap();
         assert_eq!((image.size(), image.radiance_max()), ([6, 4], [5.0, 3.0, 0.25]));
         assert_eq!(budget.used(), EnvironmentImage::bytes_needed(6, 4).unwrap());
     }
@@ -98,9 +98,9 @@ mod tests {
             assert_eq!(budget.used(), Bytes(0));
         }
         assert!(refused > 100, "{refused}");
-        let missing = EnvironmentImage::read(&folder.path().join("none.exr"), &budget);
+        let missing = EnvironmentImage::read(folder.path().join("none.exr"), &budget);
         assert!(matches!(missing, Err(RenderError::Read { .. })));
         std::fs::write(folder.path().join("sky.bmp"), b"BM").unwrap();
-        assert!(EnvironmentImage::read(&folder.path().join("sky.bmp"), &budget).is_err());
+        assert!(EnvironmentImage::read(folder.path().join("sky.bmp"), &budget).is_err());
     }
 }
