@@ -237,7 +237,7 @@ proptest! {
         let expected = by_tracer(&mut reference.tracer().unwrap(), &asked, &ignored());
         prop_assert!(expected.0.values().flatten().count() > 20);
         let octree = open(Arc::new(UnevenSource { source, seed, reads: AtomicU64::new(0) }), slots, 1);
-        let options = PoolOptions { suspended, ignore: Some(ignored()) };
+        let options = PoolOptions { suspended, ignore: Some(ignored()), ..PoolOptions::default() };
         let (found, counters, stats) = with_pool(&octree, options, loads, loads_in_flight, |pool| {
             let found = [0, 1].map(|round| by_pool(pool, &asked, seed ^ round).unwrap());
             (found, pool.counters(), pool.load_stats())
@@ -262,7 +262,8 @@ fn pools_on_two_threads_share_slots() {
             for thread in 0..2 {
                 let (octree, asked, expected) = (&octree, &asked, &expected);
                 scope.spawn(move || {
-                    let options = PoolOptions { suspended, ignore: Some(ignored()) };
+                    let options =
+                        PoolOptions { suspended, ignore: Some(ignored()), ..PoolOptions::default() };
                     let mut pool = octree.ray_pool(options).unwrap();
                     assert!(by_pool(&mut pool, asked, thread).unwrap() == *expected);
                 });
@@ -289,7 +290,8 @@ fn pools_share_a_loader_and_its_slots() {
                 });
                 let pools = [0, 1].map(|thread| {
                     scope.spawn(move || {
-                        let options = PoolOptions { suspended, ignore: Some(ignored()) };
+                        let options =
+                            PoolOptions { suspended, ignore: Some(ignored()), ..PoolOptions::default() };
                         let mut pool = loader.ray_pool(options).unwrap();
                         assert!(by_pool(&mut pool, asked, thread).unwrap() == *expected);
                         pool.load_stats().in_flight_peak
@@ -341,7 +343,7 @@ fn loads_run_at_the_same_time() {
     let asked = asked(8, 300);
     octree
         .with_loader(2, ahead(4), |loader| {
-            let options = PoolOptions { suspended: 1000, ignore: None };
+            let options = PoolOptions { suspended: 1000, ..PoolOptions::default() };
             let mut pool = loader.ray_pool(options).unwrap();
             let mut answers = Answers::with_capacity(300);
             pool.closest_hits(&asked.closest, OnMissing::Wait { weight: 1 }, &mut answers).unwrap();
@@ -389,7 +391,7 @@ fn a_load_that_panics_panics_in_its_pool_and_nothing_hangs() {
         let source = PanickingSource { source: source_of(11), reads: AtomicU64::new(0), at };
         let octree = open(Arc::new(source), 20, 1);
         let trace = |loader: &BlockLoader<'_>| {
-            let options = PoolOptions { suspended: 1000, ignore: Some(ignored()) };
+            let options = PoolOptions { suspended: 1000, ignore: Some(ignored()), ..PoolOptions::default() };
             by_pool(&mut loader.ray_pool(options).unwrap(), &asked, 1).unwrap()
         };
         octree
@@ -410,7 +412,7 @@ fn one_load_serves_all_rays_that_wait_for_it() {
     let asked = asked(10, 2000);
     let loads = |suspended, on_missing| {
         let octree = open(source.clone(), 4, 1);
-        let mut pool = octree.ray_pool(PoolOptions { suspended, ignore: None }).unwrap();
+        let mut pool = octree.ray_pool(PoolOptions { suspended, ..PoolOptions::default() }).unwrap();
         let mut answers = Answers::with_capacity(2000);
         pool.closest_hits(&asked.closest, on_missing, &mut answers).unwrap();
         while pool.resume(&mut answers).unwrap() {}
@@ -424,6 +426,56 @@ fn one_load_serves_all_rays_that_wait_for_it() {
     assert!(full <= depth_first + depth_first / 10);
 }
 
+/// Paths of which each hit leads to five shadow rays and one that goes on: with room kept for them the pool does not fill up, so that none
+/// loads depth first.
+#[test]
+fn room_is_kept_for_the_children_of_answers() {
+    const SUSPENDED: u32 = 400;
+    let source = source_of(9);
+    let run = |children| {
+        let octree = open(source.clone(), 4, 1);
+        let options = PoolOptions { suspended: SUSPENDED, children, ..PoolOptions::default() };
+        let mut pool = octree.ray_pool(options).unwrap();
+        let mut answers = Answers::with_capacity(6000);
+        let mut first = asked(10, 2000).closest;
+        let (mut found, mut blocked) = (BTreeMap::new(), BTreeMap::new());
+        loop {
+            if pool.wants_rays() && !first.is_empty() {
+                let rest = first.split_off(first.len().min(2));
+                pool.closest_hits(&first, OnMissing::Wait { weight: 4 }, &mut answers).unwrap();
+                first = rest;
+            } else if !pool.resume(&mut answers).unwrap() && first.is_empty() {
+                break;
+            }
+            while !answers.hits.is_empty() {
+                let (mut onward, mut shadows) = (Vec::new(), Vec::new());
+                for (tag, hit) in answers.hits.drain(..) {
+                    let (path, depth) = (tag % 2000, tag / 2000);
+                    found.insert(tag, hit);
+                    let Some(hit) = hit.filter(|_| depth < 6) else { continue };
+                    let mut random = Random(tag + 1);
+                    let mut ray = || Ray::new(hit.position(), random.vector(1.0));
+                    shadows.extend((0..5).map(|lamp| AnyRequest { ray: ray(), tag: 8 * tag + lamp }));
+                    let tag = 2000 * (depth + 1) + path;
+                    onward.push(ClosestRequest { ray: ray(), after: None, tag });
+                }
+                pool.occluded(&shadows, OnMissing::Wait { weight: 1 }, &mut answers).unwrap();
+                pool.closest_hits(&onward, OnMissing::Wait { weight: 4 }, &mut answers).unwrap();
+            }
+            blocked.extend(answers.occlusions.drain(..));
+        }
+        let counters = pool.counters();
+        (found, blocked, counters.suspended_peak, counters.blocks_loaded)
+    };
+    // What is answered at once has children at once.
+    let (found, blocked, peak, loads) = run(36);
+    let (found_full, blocked_full, peak_full, loads_full) = run(0);
+    assert!(found.len() > 4000 && found == found_full && blocked == blocked_full);
+    let capacity = u64::from(SUSPENDED + SUSPENDED / 4 + 1);
+    assert!(peak < capacity && peak_full == capacity, "{peak} and {peak_full} of {capacity}");
+    assert!(loads < loads_full, "{loads} and {loads_full} loads");
+}
+
 #[test]
 fn a_failed_load_is_an_error_and_not_a_miss() {
     let asked = asked(4, 200);
@@ -434,7 +486,7 @@ fn a_failed_load_is_an_error_and_not_a_miss() {
             let source = MemorySource::new(Arc::clone(source_of(3).bytes())).unwrap();
             let rates = FaultRates { bit_flips, ..FaultRates::default() };
             let octree = open(Arc::new(FaultySource::new(source, seed, rates)), 12, 1);
-            let options = PoolOptions { suspended: 100, ignore: Some(ignored()) };
+            let options = PoolOptions { suspended: 100, ignore: Some(ignored()), ..PoolOptions::default() };
             let run = |pool: &mut RayPool<'_>| (by_pool(pool, &asked, seed), pool.counters().blocks_loaded);
             with_pool(&octree, options, loads, 3, run)
         };
@@ -460,7 +512,7 @@ fn a_failed_load_is_an_error_and_not_a_miss() {
 #[test]
 fn a_pool_is_drawn_from_the_budget_and_given_back() {
     let source = source_of(1);
-    let options = PoolOptions { suspended: 1000, ignore: None };
+    let options = PoolOptions { suspended: 1000, ..PoolOptions::default() };
     let budget = MemoryBudget::new(Bytes::mib(64));
     let octree_options = OctreeOptions { slots_max: Some(2), ..OctreeOptions::default() };
     let octree = LazyOctree::open(source.clone(), &budget, octree_options).unwrap();
@@ -507,7 +559,7 @@ fn what_a_dropped_pool_asked_for_goes_nowhere() {
     let asked = asked(14, 200);
     let expected = by_tracer(&mut open(source.clone(), 1000, 1).tracer().unwrap(), &asked, &ignored());
     let octree = open(source, 24, 1);
-    let options = || PoolOptions { suspended: 1000, ignore: Some(ignored()) };
+    let options = || PoolOptions { suspended: 1000, ignore: Some(ignored()), ..PoolOptions::default() };
     octree
         .with_loader(2, ahead(6), |loader| {
             for _ in 0..20 {

@@ -95,7 +95,7 @@ pub fn run(octree: &LazyOctree, mix: Mix, side: u32, order: Order, pixels: Range
         Order::DepthFirst => depth_first(octree, mix, side, pixels),
         Order::Pool { suspended, weight, by_depth, camera_loads, shadows_load, threads, in_flight } => {
             let ample = "the budget is ample";
-            let options = PoolOptions { suspended, ignore: None };
+            let options = PoolOptions { suspended, ..PoolOptions::default() };
             let shadow = OnMissing::Wait { weight: 1 };
             let on_missing = OnMissingBy {
                 camera_loads,

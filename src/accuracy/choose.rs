@@ -5,7 +5,7 @@ use super::estimate::{Sampled, cut_off, flip_cut_off, sampling_room};
 use super::job::{Job, ask};
 use crate::error::RenderError;
 use crate::render::resample::SampledPixel;
-use crate::render::{RenderSettings, Renderer};
+use crate::render::{RenderSettings, Renderer, to_f32};
 
 /// Pixels that are looked at for a contribution bound, at most one in [`LOOK_SHARE`].
 const LOOK_PIXELS: u64 = 1024;
@@ -78,7 +78,7 @@ impl Job<'_, '_> {
         let cut = match metric {
             Metric::Flip => {
                 let seen = |(mean, lost): (&glam::DVec3, &f64)| Sampled {
-                    mean: mean.to_array().map(|channel| channel as f32),
+                    mean: to_f32(*mean),
                     half_difference: [0.0; 3],
                     deviation: 0.0,
                     lost: *lost,

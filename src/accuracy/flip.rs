@@ -4,6 +4,8 @@
 //! Alternating Images", HPG 2020, in its form for pictures of low dynamic range. Section numbers below are the paper's. In f64; the
 //! tests hold it against values of the authors' own program.
 
+use crate::simd::{AnyOperation, Simd, SimdLevel, dispatch};
+
 /// Pixels per degree of the paper's viewing conditions (section 4.1): 0.7 m before a display 0.7 m and 3840 pixels wide.
 pub(super) const PIXELS_PER_DEGREE: f64 = 0.7 * (3840.0 / 0.7) * (std::f64::consts::PI / 180.0);
 
@@ -107,7 +109,7 @@ impl Opponent {
                 let total: f64 = kernels.iter().map(|(weight, _)| weight).sum();
                 let mut sum = vec![0.0; plane.len()];
                 for (weight, kernel) in kernels {
-                    let blurred = separable(plane, self.width, &kernel, &kernel);
+                    let blurred = separable(plane, self.width, &kernel);
                     sum.iter_mut().zip(blurred).for_each(|(sum, value)| *sum += weight / total * value);
                 }
                 sum
@@ -138,9 +140,12 @@ fn features(luminance: &[f64], width: usize) -> Vec<[f64; 2]> {
     let smooth = signed_parts_to_one(kernel(&|_| 1.0));
     let edge = signed_parts_to_one(kernel(&|x| -x));
     let point = signed_parts_to_one(kernel(&|x| x * x - 1.0));
+    let height = luminance.len() / width;
+    let filtered = |plane: &[f64], axis: Axis, kernel: &[f64]| filter(plane, width, height, axis, kernel);
+    let rows = filtered(luminance, Axis::Rows, &smooth);
     let strength = |kernel: &[f64]| -> Plane {
-        let across = separable(luminance, width, kernel, &smooth);
-        let down = separable(luminance, width, &smooth, kernel);
+        let across = filtered(&filtered(luminance, Axis::Rows, kernel), Axis::Columns, &smooth);
+        let down = filtered(&rows, Axis::Columns, kernel);
         across.into_iter().zip(down).map(|(x, y)| (x * x + y * y).sqrt()).collect()
     };
     strength(&edge).into_iter().zip(strength(&point)).map(|(edge, point)| [edge, point]).collect()
@@ -173,30 +178,86 @@ fn signed_parts_to_one(kernel: Vec<f64>) -> Vec<f64> {
         .collect()
 }
 
-/// Filters rows with `across`, then columns with `down`; both of the same odd length. The border is repeated outward.
-fn separable(plane: &[f64], width: usize, across: &[f64], down: &[f64]) -> Plane {
+/// Filters rows, then columns, with a kernel of odd length. The border is repeated outward.
+fn separable(plane: &[f64], width: usize, kernel: &[f64]) -> Plane {
     let height = plane.len() / width;
-    let radius = across.len() / 2;
-    // Tap by tap, so that whole rows are added up at once.
-    let add = |out: &mut [f64], row: &[f64], weight: f64| {
-        out.iter_mut().zip(row).for_each(|(out, value)| *out += weight * value);
-    };
-    let mut rows = vec![0.0; plane.len()];
-    let mut padded = vec![0.0; width + 2 * radius];
-    for (row, out) in plane.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        padded[..radius].fill(row[0]);
-        padded[radius..radius + width].copy_from_slice(row);
-        padded[radius + width..].fill(row[width - 1]);
-        across.iter().enumerate().for_each(|(tap, weight)| add(out, &padded[tap..], *weight));
-    }
-    let mut columns = vec![0.0; plane.len()];
-    for (y, out) in columns.chunks_exact_mut(width).enumerate() {
-        for (tap, weight) in down.iter().enumerate() {
-            let from = (y + tap).saturating_sub(radius).min(height - 1);
-            add(out, &rows[from * width..][..width], *weight);
+    let rows = filter(plane, width, height, Axis::Rows, kernel);
+    filter(&rows, width, height, Axis::Columns, kernel)
+}
+
+/// What a filter runs along.
+#[derive(Clone, Copy, PartialEq)]
+enum Axis {
+    Rows,
+    Columns,
+}
+
+/// Filters along one axis. The border is repeated outward. Sums are the same bit for bit, whatever instructions there are.
+fn filter(plane: &[f64], width: usize, height: usize, axis: Axis, kernel: &[f64]) -> Plane {
+    dispatch(SimdLevel::best(), Filter { plane, width, height, axis, kernel })
+}
+
+/// A filter along one axis, for the instructions that there are.
+struct Filter<'f> {
+    plane: &'f [f64],
+    width: usize,
+    height: usize,
+    axis: Axis,
+    kernel: &'f [f64],
+}
+
+/// Sums at once: as many as stay in registers.
+const SUMS: usize = 16;
+
+impl AnyOperation for Filter<'_> {
+    type Output = Plane;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> Plane {
+        let Filter { plane, width, height, axis, kernel } = self;
+        let radius = kernel.len() / 2;
+        let mut filtered = vec![0.0; plane.len()];
+        let mut padded = vec![0.0; width + 2 * radius];
+        for (y, out) in filtered.chunks_exact_mut(width).enumerate() {
+            match axis {
+                Axis::Rows => {
+                    let row = &plane[y * width..][..width];
+                    padded[..radius].fill(row[0]);
+                    padded[radius..radius + width].copy_from_slice(row);
+                    padded[radius + width..].fill(row[width - 1]);
+                    weigh(out, kernel, |tap| &padded[tap..tap + width]);
+                }
+                Axis::Columns => weigh(out, kernel, |tap| {
+                    let from = (y + tap).saturating_sub(radius).min(height - 1);
+                    &plane[from * width..][..width]
+                }),
+            }
         }
+        filtered
     }
-    columns
+}
+
+/// The sum of rows, each with its weight: `row(tap)` is as long as `out`.
+#[inline(always)]
+fn weigh<'p>(out: &mut [f64], kernel: &[f64], row: impl Fn(usize) -> &'p [f64]) {
+    let mut from = 0;
+    while from < out.len() {
+        let len = SUMS.min(out.len() - from);
+        let mut sums = [0.0; SUMS];
+        for (tap, weight) in kernel.iter().enumerate() {
+            let values = &row(tap)[from..from + len];
+            // A length that is known is one that stays in registers.
+            if let Some(values) = values.first_chunk::<SUMS>() {
+                for lane in 0..SUMS {
+                    sums[lane] += weight * values[lane];
+                }
+            } else {
+                sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
+            }
+        }
+        out[from..from + len].copy_from_slice(&sums[..len]);
+        from += len;
+    }
 }
 
 /// Differences of colours by [`hunt_lab`], 0 to 1 (section 4.1.2 and 4.1.3).

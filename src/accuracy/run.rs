@@ -371,21 +371,32 @@ impl Job<'_, '_> {
     }
 
     /// The mean square error that samples show: the picture's own, or further ones where these had a say in stopping.
-    pub(super) fn squares(
+    fn squares(
         &mut self,
         image: &RenderedImage,
         knobs: &Knobs,
         pixels: &[Sampled],
     ) -> Result<Known, RenderError> {
-        let confidence = self.confidence();
-        let halves = MeanSquare::of_halves(pixels, confidence);
         if matches!(knobs.sampling, Sampling::Fixed { .. }) {
-            return Ok(Known::Squares(halves, None));
+            return Ok(Known::Squares(MeanSquare::of_halves(pixels, self.confidence()), None));
         }
         let settings = knobs.settings(&self.settings);
-        let statistics = image.film.statistics().unwrap_or_default();
-        let (drawn, places) = check::draw(pixels, statistics, image.film.width(), settings.seed, self.looks);
         let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
+        self.check(&renderer, image, pixels)
+    }
+
+    /// The mean square error that further samples show, taken by a renderer with the picture's seed and contribution bound.
+    pub(super) fn check(
+        &mut self,
+        renderer: &Renderer<'_>,
+        image: &RenderedImage,
+        pixels: &[Sampled],
+    ) -> Result<Known, RenderError> {
+        let confidence = self.confidence();
+        let halves = MeanSquare::of_halves(pixels, confidence);
+        let statistics = image.film.statistics().unwrap_or_default();
+        let seed = self.settings.seed;
+        let (drawn, places) = check::draw(pixels, statistics, image.film.width(), seed, self.looks);
         let (attempt, told) = (self.counters.attempts, &mut *self.progress);
         let progress = whole(image);
         let mut stop = || told(GoalProgress { attempt, progress });

@@ -146,13 +146,7 @@ impl Job<'_, '_> {
         if let Some(certificate) = self.few_samples(steps)? {
             return Ok(certificate);
         }
-        self.step(steps, f64::INFINITY)?;
-        if let Some(draft) = steps.renderer.draft() {
-            draft.look_around();
-        }
-        // For what is known of each pixel now.
-        self.step(steps, f64::INFINITY)?;
-        steps.open_none();
+        self.first_step(steps)?;
         let mut certificates = 0;
         for _ in 0..STEPS_MAX {
             match self.next(steps) {
@@ -194,12 +188,7 @@ impl Job<'_, '_> {
         // In FLIP single samples may be enough. What they are worth is told by a check.
         if steps.metric == Metric::Flip {
             steps.samples_first = 1;
-            self.step(steps, f64::INFINITY)?;
-            if let Some(draft) = steps.renderer.draft() {
-                draft.look_around();
-            }
-            self.step(steps, f64::INFINITY)?;
-            steps.open_none();
+            self.first_step(steps)?;
             if !self.look_at_singles(steps)? || matches!(self.next(steps), Next::Certify) {
                 let certificate = self.certify(steps)?;
                 if !matches!(certificate.verdict, Verdict::NotMet { .. }) {
@@ -247,9 +236,8 @@ impl Job<'_, '_> {
             return Ok(false);
         }
         let begun = Instant::now();
-        let knobs = self.knobs_of(steps);
         let pixels = sampled(&image.film);
-        let known = self.squares(&image, &knobs, &pixels)?;
+        let known = self.check(steps.renderer, &image, &pixels)?;
         (steps.image, steps.known) = (Some(image), Some(known));
         self.seconds.checking += begun.elapsed().as_secs_f64();
         let Known::Squares(squares, _) = known else { return Ok(false) };
@@ -259,6 +247,18 @@ impl Job<'_, '_> {
             steps.singles = squares.value / own;
         }
         Ok(true)
+    }
+
+    /// Goes on until every pixel has its first samples, and looks at what is known of each beside its neighbours.
+    fn first_step(&mut self, steps: &mut Steps<'_, '_>) -> Result<(), RenderError> {
+        self.step(steps, f64::INFINITY)?;
+        if let Some(draft) = steps.renderer.draft() {
+            draft.look_around();
+        }
+        // A film with the deviations that follow.
+        self.step(steps, f64::INFINITY)?;
+        steps.open_none();
+        Ok(())
     }
 
     /// Goes on until every pixel has its first samples and none that can go on has a greater deviation.
@@ -306,8 +306,16 @@ impl Job<'_, '_> {
         let knobs = self.knobs_of(steps);
         let Some(image) = &mut steps.image else { return Err(RenderError::Cancelled) };
         image.report.samples_per_pixel = steps.fixed.unwrap_or(self.options.samples_max);
-        // What a check has said is of samples that stop; of fixed ones the halves tell.
-        let known = steps.known.filter(|_| steps.fixed.is_none());
+        // What a check says is of samples that stop; of fixed ones the halves tell.
+        let known = match (steps.fixed, steps.known) {
+            (None, None) if image.report.outcome == Outcome::Complete => {
+                let begun = Instant::now();
+                let known = self.check(steps.renderer, image, &sampled(&image.film))?;
+                self.seconds.checking += begun.elapsed().as_secs_f64();
+                Some(known)
+            }
+            (fixed, known) => known.filter(|_| fixed.is_none()),
+        };
         let mut certificate = self.certificate(image, knobs, known)?;
         self.looks += 1;
         if certificate.verdict != Verdict::Cancelled {

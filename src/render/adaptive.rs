@@ -22,6 +22,9 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::film::{PixelStatistics, to_f32};
+use crate::geom::round_up_f32;
+
 /// Sampling that goes on in each pixel until its error is small enough.
 ///
 /// Every pixel gets `samples_min` samples; then their number is doubled until the half width of the confidence interval of its mean is at
@@ -154,6 +157,16 @@ impl SampleBlocks {
         let (first, first_size) = self.blocks().take(count / 2).fold((DVec3::ZERO, 0.0), mean);
         let (second, second_size) = self.blocks().skip(count / 2).fold((DVec3::ZERO, 0.0), mean);
         if count < 2 { DVec3::ZERO } else { 0.5 * (first / first_size - second / second_size) }
+    }
+
+    /// What a film shows of them, with a deviation that was found with neighbours.
+    pub fn statistics(&self, deviation: f64) -> PixelStatistics {
+        PixelStatistics {
+            samples: self.samples(),
+            deviation: deviation as f32,
+            half_difference: to_f32(self.half_difference()),
+            lost: round_up_f32(self.lost()),
+        }
     }
 }
 

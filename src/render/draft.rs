@@ -8,14 +8,13 @@ use glam::DVec3;
 use parking_lot::Mutex;
 
 use super::adaptive::SampleBlocks;
-use super::film::{PixelCost, PixelStatistics};
+use super::film::{PixelCost, PixelStatistics, to_f32};
 use super::settings::RenderSettings;
 use super::stage::Stage;
 use super::tile_samples::{FinishedTile, contrast};
 use super::tiles::Area;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::BudgetError;
-use crate::geom::round_up_f32;
 use crate::units::Bytes;
 
 /// What is kept of a pixel.
@@ -46,17 +45,8 @@ impl PixelState {
     }
 
     pub fn statistics(&self) -> PixelStatistics {
-        PixelStatistics {
-            samples: self.blocks.samples(),
-            deviation: self.deviation as f32,
-            half_difference: to_f32(self.blocks.half_difference()),
-            lost: round_up_f32(self.blocks.lost()),
-        }
+        self.blocks.statistics(self.deviation)
     }
-}
-
-fn to_f32(colour: DVec3) -> [f32; 3] {
-    colour.to_array().map(|channel| channel as f32)
 }
 
 /// What pixels are asked for: so many samples in any case, and more while their deviation is too large.

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use glam::DVec3;
+
 use super::image;
 use super::settings::RenderSettings;
 use super::tiles::TileGrid;
@@ -50,6 +52,11 @@ impl PixelCost {
         add(&mut self.box_tests, after.box_tests - before.box_tests);
         add(&mut self.triangle_tests, after.triangle_tests - before.triangle_tests);
     }
+}
+
+/// A colour as films hold it.
+pub(crate) fn to_f32(colour: DVec3) -> [f32; 3] {
+    colour.to_array().map(|channel| channel as f32)
 }
 
 /// What a film keeps beside its pixels.

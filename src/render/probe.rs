@@ -7,6 +7,7 @@ use glam::DVec3;
 
 use super::adaptive::SampleBlocks;
 use super::counters::EffectCounters;
+use super::film::to_f32;
 use super::paths::{self, PathTracer};
 use super::query::RayQuery;
 use super::stage::{PixelSample, Stage};
@@ -46,11 +47,10 @@ pub(crate) struct ProbedPixel {
 
 impl Level {
     fn of(blocks: &SampleBlocks, contrast: DVec3) -> Level {
-        let colour = |value: DVec3| value.to_array().map(|channel| channel as f32);
         Level {
             samples: blocks.samples(),
-            mean: colour(blocks.mean()),
-            half_difference: colour(blocks.half_difference()),
+            mean: to_f32(blocks.mean()),
+            half_difference: to_f32(blocks.half_difference()),
             deviation: blocks.deviation(contrast),
             lost: blocks.lost(),
         }

@@ -9,10 +9,9 @@ use glam::DVec3;
 
 use super::adaptive::SampleBlocks;
 use super::draft::{PixelState, Wanted};
-use super::film::{PixelCost, PixelStatistics};
+use super::film::{PixelCost, PixelStatistics, to_f32};
 use super::stage::{PixelSample, Stage};
 use super::tiles::{Area, morton_order};
-use crate::geom::round_up_f32;
 use crate::stats::TraceCounters;
 
 /// What must be known to trace samples of a tile.
@@ -330,12 +329,7 @@ impl TileSamples {
                     None if samples == 1 => f64::INFINITY,
                     None => blocks[index].deviation(DVec3::ZERO),
                 };
-                *statistics = PixelStatistics {
-                    samples,
-                    deviation: deviation as f32,
-                    half_difference: to_f32(blocks[index].half_difference()),
-                    lost: round_up_f32(blocks[index].lost()),
-                };
+                *statistics = blocks[index].statistics(deviation);
             }
         }
         saved
@@ -399,8 +393,4 @@ pub(super) fn contrast(
 /// Whether samples are kept in blocks.
 fn keeps_blocks(stage: &Stage) -> bool {
     stage.settings.adaptive.is_some() || stage.settings.keep_statistics
-}
-
-fn to_f32(colour: DVec3) -> [f32; 3] {
-    colour.to_array().map(|channel| channel as f32)
 }

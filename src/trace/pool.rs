@@ -25,11 +25,14 @@ pub struct PoolOptions {
     pub suspended: u32,
     /// Materials that any-hit queries ignore.
     pub ignore: Option<MaterialSet>,
+    /// How many rays, at most, are asked for at once because of the answer to a closest-hit query: shadow rays and the ray that goes on. Where
+    /// there is no room for so many, a ray that waits goes on waiting. With 0 that is the caller's care.
+    pub children: u32,
 }
 
 impl Default for PoolOptions {
     fn default() -> PoolOptions {
-        PoolOptions { suspended: 1 << 14, ignore: None }
+        PoolOptions { suspended: 1 << 14, ignore: None, children: 8 }
     }
 }
 
@@ -47,7 +50,7 @@ impl PoolOptions {
 /// Answers queries on one thread, in whatever order costs the fewest block loads.
 ///
 /// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded. Blocks are loaded in turn, in
-/// the order of the file, those for which little waits in a later turn, and everything that waits for a block runs. There are no rounds: rays may be added
+/// the order of the file (to and fro, if many of them are in memory at once), those for which little waits in a later turn, and everything that waits for a block runs. There are no rounds: rays may be added
 /// at any time, and so can those that answers lead to.
 ///
 /// Answers are those of a [`Tracer`], whatever the pool's size and order (I2). When the pool is full, rays load what
@@ -88,6 +91,9 @@ pub struct RayPool<'o> {
     tracer: Tracer<'o>,
     suspended: SuspendedRays,
     wanted: u32,
+    children: u32,
+    /// How many closest-hit queries may run in this resumption.
+    closest_max: usize,
     ignore: Option<MaterialSet>,
     /// Blocks that rays wait for and that were loaded for others.
     loaded: Vec<BlockId>,
@@ -141,12 +147,15 @@ impl<'o> RayPool<'o> {
     ) -> Result<RayPool<'o>, TraceError> {
         let tracer = octree.tracer()?;
         let block_count = octree.model().block_id_count() as usize;
+        let slot_count = octree.cache.slot_count();
         let bytes = RayPool::bytes_needed(&options, block_count);
         let reservation = octree.budget.reserve(bytes, "a pool of suspended rays")?;
         Ok(RayPool {
             tracer,
-            suspended: SuspendedRays::new(options.capacity(), block_count, InFlight::MAX),
+            suspended: SuspendedRays::new(options.capacity(), block_count, InFlight::MAX, slot_count),
             wanted: options.suspended,
+            children: options.children,
+            closest_max: 0,
             ignore: options.ignore.filter(|set| !set.is_empty()),
             loaded: Vec::with_capacity(LOADED_MAX),
             current: None,
@@ -219,15 +228,31 @@ impl<'o> RayPool<'o> {
         // passed it.
         let level = self.tracer.octree.level;
         let on_missing = OnMissing::Wait { weight: 1 };
+        // One if there are no others, so that it always goes on.
+        let least = usize::from(self.suspended.any_count(block) == 0);
+        self.closest_max = self.closest_room().clamp(least, RayPool::RESUMED_MAX);
         dispatch(level, Closest { pool: self, requests: &[], on_missing, block: Some(block), answers })?;
         dispatch(level, Any { pool: self, requests: &[], on_missing, block: Some(block), answers })?;
-        // A queue longer than `RESUMED_MAX` goes on with the next call.
-        let goes_on = self.suspended.is_awaited(block);
-        if pin.is_some() && !goes_on {
-            self.suspended.end_load(block);
+        // What did not run goes on with the next call.
+        let current = Current { block, pin };
+        if self.suspended.is_awaited(block) {
+            self.current = Some(current);
+        } else {
+            self.leave(current);
         }
-        self.current = goes_on.then_some(Current { block, pin });
         Ok(true)
+    }
+
+    /// How many closest-hit queries may be answered until their children have no room.
+    fn closest_room(&self) -> usize {
+        self.suspended.room().checked_div(self.children).map_or(usize::MAX, |rays| rays as usize)
+    }
+
+    /// Ends work on a block. What still waits for it waits once more.
+    fn leave(&mut self, current: Current<'o>) {
+        if current.pin.is_some() {
+            self.suspended.end_load(current.block);
+        }
     }
 
     /// How many rays wait for a block.
@@ -295,7 +320,10 @@ impl<'o> RayPool<'o> {
             in_flight.request(&mut self.suspended, u32::from(held));
         }
         if let Some(current) = self.current.take() {
-            return Ok(Some(current));
+            if self.closest_room() > 0 {
+                return Ok(Some(current));
+            }
+            self.leave(current);
         }
         while let Some(block) = self.loaded.pop() {
             if self.suspended.is_awaited(block) && self.tracer.octree.cache.is_resident(block) {
@@ -339,7 +367,7 @@ impl Kernel for Closest<'_, '_> {
     #[inline(always)]
     fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let Closest { pool, requests, on_missing, block, answers } = self;
-        let RayPool { tracer, suspended, .. } = pool;
+        let RayPool { tracer, suspended, closest_max, .. } = pool;
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         let (loads, new_weight) = on_missing.parts();
         let mut work = tracer.work();
@@ -353,7 +381,7 @@ impl Kernel for Closest<'_, '_> {
                 (ray, after, from, place, weight) = (request.ray, request.after, None, None, new_weight);
                 answers.hits.push((request.tag, None));
             } else {
-                if resumed == RayPool::RESUMED_MAX {
+                if resumed == *closest_max {
                     break;
                 }
                 let Some(block) = block else { break };

@@ -38,6 +38,8 @@ struct Queue {
     block: BlockId,
     closest: List,
     any: List,
+    /// How many any-hit queries there are.
+    any_count: u32,
     /// Sum of the records' weights.
     weight: u64,
     /// Where in the heap it is, or `NONE` while its block is on its way in; for a free queue, the next free one.
@@ -57,6 +59,13 @@ impl List {
 /// A block is passed over while rays of more than so many times its weight wait for another.
 const SHARE_MIN: u64 = 32;
 
+/// With so large a part of the blocks in memory, the way through the file goes to and fro: those that come next after a turn are those that
+/// were loaded last. With fewer that is worth less than what it costs, that blocks near the ends come twice in a row.
+const TURNS_BACK: usize = 12;
+
+/// Room is short where less than this part of all is left.
+const SHORT: u32 = 10;
+
 /// How far behind the last choice the next is looked for: so that it takes less time than a load, however large the model.
 const STEPS_MAX: u32 = 1 << 16;
 
@@ -75,13 +84,16 @@ pub(super) struct SuspendedRays {
     heap: Vec<u32>,
     /// Blocks on their way in, whose queues are not in the heap.
     loading: Vec<BlockId>,
-    /// The block that was chosen last.
+    /// Whether the way through the file turns back at its ends, rather than to begin anew.
+    turns_back: bool,
+    /// The block that was chosen last, and whether blocks before it in the file come next.
     chosen: u32,
+    goes_back: bool,
 }
 
 impl SuspendedRays {
-    /// Room for `capacity` rays, `block_count` blocks and `loading_max` of them on their way in.
-    pub fn new(capacity: u32, block_count: usize, loading_max: u32) -> SuspendedRays {
+    /// Room for `capacity` rays, `block_count` blocks and `loading_max` of them on their way in. `slot_count`: how many blocks are in memory at once.
+    pub fn new(capacity: u32, block_count: usize, loading_max: u32, slot_count: u32) -> SuspendedRays {
         SuspendedRays {
             records: Vec::with_capacity(capacity as usize),
             capacity,
@@ -93,7 +105,9 @@ impl SuspendedRays {
             queue_of: vec![NONE; block_count],
             heap: Vec::with_capacity(capacity as usize),
             loading: Vec::with_capacity(loading_max as usize),
+            turns_back: slot_count as usize >= block_count / TURNS_BACK,
             chosen: 0,
+            goes_back: false,
         }
     }
 
@@ -163,6 +177,7 @@ impl SuspendedRays {
         let is_closest = matches!(query, Query::Closest { .. });
         let queue = &mut self.queues[index as usize];
         queue.weight += u64::from(weight);
+        queue.any_count += u32::from(!is_closest);
         let list = if is_closest { &mut queue.closest } else { &mut queue.any };
         let last = list.last;
         list.last = place.0;
@@ -197,6 +212,7 @@ impl SuspendedRays {
             list.last = NONE;
         }
         queue.weight -= u64::from(record.weight);
+        queue.any_count -= u32::from(matches!(record.query, Query::Any(_)));
         if queue.closest.first == NONE && queue.any.first == NONE {
             self.drop_queue(index);
         } else if queue.heap_place != NONE {
@@ -210,36 +226,64 @@ impl SuspendedRays {
         self.queues.get(self.queue_of[block.0 as usize] as usize).map_or(0, |queue| queue.weight)
     }
 
+    /// How many any-hit queries wait for `block`.
+    pub fn any_count(&self, block: BlockId) -> u32 {
+        self.queues.get(self.queue_of[block.0 as usize] as usize).map_or(0, |queue| queue.any_count)
+    }
+
     /// Whether any ray waits for `block`.
     pub fn is_awaited(&self, block: BlockId) -> bool {
         self.queue_of[block.0 as usize] != NONE
     }
 
-    /// The block to load next, of those that rays wait for and that are not on their way in: the first behind the one chosen last,
-    /// round and round in the order of the file, that has at least 1 / [`SHARE_MIN`] of the greatest weight.
+    /// The block to load next, of those that rays wait for and that are not on their way in: the next one from the one chosen last, in
+    /// the order of the file, that is worth at least 1 / [`SHARE_MIN`] of what the best is worth. That is its weight, or, where
+    /// little room is left, how many any-hit queries it has, as those lead to no others.
     ///
-    /// Neighbours in the file are neighbours in space. A ray that leaves a block mostly waits for a neighbour, so going round lets it
-    /// pass several blocks in one turn, where blocks chosen by weight alone make it wait half a turn for each. Light queues are
+    /// Neighbours in the file are neighbours in space. A ray that leaves a block mostly waits for a neighbour, so going through the
+    /// file lets it pass several blocks in one turn, where blocks chosen by weight alone make it wait half a turn for each. Light queues are
     /// left for a later turn.
     pub fn choose(&mut self) -> Option<BlockId> {
-        let heaviest = self.queues[*self.heap.first()? as usize];
-        let count = self.queue_of.len() as u32;
-        let mut block = self.chosen;
-        let mut steps = count.min(STEPS_MAX);
-        self.chosen = loop {
-            block = if block + 1 < count { block + 1 } else { 0 };
+        let heaviest = *self.heap.first()?;
+        let is_short = self.room() < self.capacity / SHORT;
+        let worth = |queue: &Queue| if is_short { u64::from(queue.any_count) } else { queue.weight };
+        let queue = |index: u32| self.queues[index as usize];
+        let best = if is_short {
+            self.heap.iter().copied().max_by_key(|index| queue(*index).any_count)?
+        } else {
+            heaviest
+        };
+        let least = worth(&queue(best)).div_ceil(SHARE_MIN);
+        let last = self.queue_of.len() as u32 - 1;
+        let (mut block, mut goes_back) = (self.chosen, self.goes_back);
+        // All blocks: once round, or to one end and then to the other.
+        let mut steps = (2 * last + 1).min(STEPS_MAX);
+        loop {
+            if block == (if goes_back { 0 } else { last }) {
+                if self.turns_back {
+                    goes_back = !goes_back;
+                } else {
+                    block = 0;
+                }
+            } else if goes_back {
+                block -= 1;
+            } else {
+                block += 1;
+            }
             if let Some(queue) = self.queues.get(self.queue_of[block as usize] as usize)
                 && queue.heap_place != NONE
-                && queue.weight.saturating_mul(SHARE_MIN) >= heaviest.weight
+                && worth(queue) >= least
             {
-                break block;
+                break;
             }
             steps -= 1;
             if steps == 0 {
-                break heaviest.block.0;
+                block = queue(best).block.0;
+                break;
             }
-        };
-        Some(BlockId(self.chosen))
+        }
+        (self.chosen, self.goes_back) = (block, goes_back);
+        Some(BlockId(block))
     }
 
     /// From now on `block` is on its way in, whether rays wait for it or not.
@@ -264,7 +308,8 @@ impl SuspendedRays {
     }
 
     fn new_queue(&mut self, block: BlockId) -> u32 {
-        let queue = Queue { block, closest: List::EMPTY, any: List::EMPTY, weight: 0, heap_place: NONE };
+        let (closest, any) = (List::EMPTY, List::EMPTY);
+        let queue = Queue { block, closest, any, any_count: 0, weight: 0, heap_place: NONE };
         let index = match self.free_queue {
             // Every queue holds a record, so there are never more of them.
             NONE => {
@@ -354,9 +399,15 @@ mod tests {
     /// Against lists and a search: thousands of arrivals and departures.
     #[test]
     fn queues_are_what_a_naive_twin_has() {
+        for turns_back in [false, true] {
+            beside_a_twin(turns_back);
+        }
+    }
+
+    fn beside_a_twin(turns_back: bool) {
         const CAPACITY: u32 = 50;
         const BLOCKS: u32 = 12;
-        let mut suspended = SuspendedRays::new(CAPACITY, BLOCKS as usize, BLOCKS);
+        let mut suspended = SuspendedRays::new(CAPACITY, BLOCKS as usize, BLOCKS, u32::from(turns_back));
         // By block: (tag, weight) of closest-hit and any-hit queries.
         let mut twin: HashMap<u32, [VecDeque<(u64, u32)>; 2]> = HashMap::new();
         let mut state = 7u64;
@@ -366,7 +417,8 @@ mod tests {
         };
         let mut peak = 0;
         let mut loading: HashSet<u32> = HashSet::new();
-        let (mut before, mut passed_over) = (0, 0);
+        let (mut before, mut goes_back) = (0, false);
+        let (mut passed_over, mut turned, mut short) = (0, 0, 0);
         for tag in 0..20_000 {
             // Loads begin, of blocks that rays wait for and of others, and end.
             let block = below(BLOCKS);
@@ -406,20 +458,38 @@ mod tests {
                 let weight = weights.get(&block).copied().unwrap_or(0);
                 assert_eq!(suspended.weight(BlockId(block)), weight);
                 assert_eq!(suspended.is_awaited(BlockId(block)), weight > 0);
+                let any = twin.get(&block).map_or(0, |lists| lists[1].len());
+                assert_eq!(suspended.any_count(BlockId(block)) as usize, any);
             }
             let idle = weights.iter().filter(|(block, weight)| **weight > 0 && !loading.contains(*block));
             let idle: BTreeMap<u32, u64> = idle.map(|(block, weight)| (*block, *weight)).collect();
-            let greatest = idle.values().copied().max();
-            let mut turn = (1..=BLOCKS).map(|step| (before + step) % BLOCKS);
-            let heavy = |block: &u32| {
-                idle.get(block).is_some_and(|weight| weight * SHARE_MIN >= greatest.unwrap_or(0))
+            // On to the end, and all the way back, or from the beginning.
+            let mut way: Vec<(u32, bool)> = if goes_back {
+                (0..before).rev().map(|block| (block, true)).collect()
+            } else {
+                (before + 1..BLOCKS).map(|block| (block, false)).collect()
             };
+            let turned_back = turns_back != goes_back;
+            let mut others: Vec<(u32, bool)> = (0..BLOCKS).map(|block| (block, turned_back)).collect();
+            if turned_back {
+                others.reverse();
+            }
+            way.append(&mut others);
+            // What ends counts where there is little room.
+            let is_short = CAPACITY as usize - count < CAPACITY as usize / SHORT as usize;
+            let worth = |block: &u32| if is_short { twin[block][1].len() as u64 } else { idle[block] };
+            let best = idle.keys().map(worth).max().unwrap_or(0);
+            short += u32::from(is_short && best > 0);
+            let heavy =
+                |(block, _): &(u32, bool)| idle.contains_key(block) && worth(block) * SHARE_MIN >= best;
             let chosen = suspended.choose();
-            assert_eq!(chosen.map(|block| block.0), turn.find(heavy));
-            passed_over += u32::from(
-                chosen.is_some_and(|block| (before + 1..block.0).any(|light| idle.contains_key(&light))),
-            );
-            before = chosen.map_or(before, |block| block.0);
+            let place = way.iter().position(heavy);
+            assert_eq!(chosen.map(|block| block.0), place.map(|place| way[place].0));
+            if let Some(place) = place {
+                passed_over += u32::from(way[..place].iter().any(|(light, _)| idle.contains_key(light)));
+                turned += u32::from(way[place].1 != goes_back);
+                (before, goes_back) = way[place];
+            }
             // Rays of a block on its way in may run too, if others brought it.
             let other = BlockId(below(BLOCKS));
             let block = chosen.filter(|_| below(4) > 0).unwrap_or(other);
@@ -432,6 +502,7 @@ mod tests {
             }
         }
         assert_eq!(suspended.peak() as usize, peak);
-        assert!(peak == CAPACITY as usize && passed_over > 0);
+        assert!(peak == CAPACITY as usize && passed_over > 0 && short > 0);
+        assert_eq!(turned > 0, turns_back);
     }
 }

@@ -70,7 +70,7 @@ fn all_hits_and_suspended_rays_too() {
     let source = Arc::clone(&model) as Arc<dyn BlockSource>;
     let options = OctreeOptions { slots_max: Some(2), ..Default::default() };
     let octree = LazyOctree::open(source, &budget, options).unwrap();
-    let mut pool = octree.ray_pool(PoolOptions { suspended: 100, ignore: None }).unwrap();
+    let mut pool = octree.ray_pool(PoolOptions { suspended: 100, ..PoolOptions::default() }).unwrap();
     let mut answers = Answers::with_capacity(rays.len());
     let requests: Vec<ClosestRequest> =
         (0..).zip(&rays).map(|(tag, ray)| ClosestRequest { ray: *ray, after: None, tag }).collect();

@@ -129,7 +129,8 @@ impl WaitingPlan {
     }
 
     pub fn pool_options(&self, stage: &Stage) -> PoolOptions {
-        PoolOptions { suspended: self.rays, ignore: stage.transparent.clone() }
+        // Samples whose rays are answered wait here for room.
+        PoolOptions { suspended: self.rays, ignore: stage.transparent.clone(), children: 0 }
     }
 
     /// Most claims that come of the hits of a batch.
