@@ -1,7 +1,9 @@
 //! Are goals kept, and at what price? Five scenes: error goals in each metric against a reference, the time beside that of the best
 //! settings picked by hand (that is, by trying all and knowing the truth), and time goals against the clock.
 //!
-//!     cargo bench --bench accuracy [-- --size 192 --reference 1024]
+//!     cargo bench --bench accuracy [-- --size 192 --reference 1024] [--scene NAME] [--metric NAME]
+//!
+//! `--scene`: only those whose names begin so. `--metric`: only goals in this one (rmse, max, flip), and no time goals.
 //!
 //! With `--test`, as `cargo bench --benches -- --test` runs it, pictures are tiny and only what must hold everywhere is checked.
 
@@ -115,6 +117,7 @@ fn error_goals(
     subject: &Subject<'_>,
     reference: &Reference,
     is_test: bool,
+    metric_asked: Option<&str>,
     beside: &mut Vec<Beside>,
 ) -> Result<bool, Failure> {
     let mut tried = Vec::new();
@@ -134,7 +137,8 @@ fn error_goals(
         ]
     };
     let mut holds = true;
-    for (metric, bound) in goals {
+    let is_asked = |metric: Metric| metric_asked.is_none_or(|name| metric.name().eq_ignore_ascii_case(name));
+    for (metric, bound) in goals.iter().filter(|(metric, _)| is_asked(*metric)) {
         let options = GoalOptions::new(Goal::MaxError { metric: *metric, bound: *bound });
         // By error first, then by the work that it takes; timed again beside the goal.
         let best = tried
@@ -265,11 +269,17 @@ fn run() -> Result<bool, Failure> {
         }
         None => Ok(default),
     };
+    let text = |name: &str| {
+        let at = arguments.iter().position(|argument| argument == name)?;
+        arguments.get(at + 1).map(String::as_str)
+    };
+    let (scene, metric) = (text("--scene").unwrap_or(""), text("--metric"));
     let size = number("--size", if is_test { 24 } else { 192 })?;
     let samples = number("--reference", if is_test { 64 } else { 1024 })?;
     let settings = RenderSettings::new(size, size);
     let threads = Threads::Count(2);
-    let all = subjects()?;
+    let mut all = subjects()?;
+    all.retain(|found| found.name.starts_with(scene));
     println!(
         "| scene | goal | verdict | error reached | certified | CPU s | % to choose / render / check | CPU time and rays beside the best by hand (its error) |"
     );
@@ -280,9 +290,12 @@ fn run() -> Result<bool, Failure> {
         let subject = found.subject(&settings, &threads);
         let cut_off = if is_test { 1e-3 } else { 1e-5 };
         let reference = subject.reference(samples, cut_off, &mut |_| Control::Continue)?;
-        holds &= error_goals(found, &subject, &reference, is_test, &mut beside)?;
+        holds &= error_goals(found, &subject, &reference, is_test, metric, &mut beside)?;
     }
     medians(&beside);
+    if metric.is_some() {
+        return Ok(holds);
+    }
     println!(
         "\n| scene | time asked for | time taken | off by | CPU s | samples per pixel | RMSE, estimated |"
     );

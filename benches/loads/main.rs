@@ -2,12 +2,12 @@
 //! rays, for three mixes of rays.
 //!
 //!     cargo bench --bench loads -- [MODEL] [--side N] [--pool N] [--weight N] [--by-depth] [--percent N,...] [--mix N] [--only-pool]
-//!         [--camera-loads] [--shadows-load] [--threads N] [--in-flight N] [--slow] [--times N] [--policies]
+//!         [--camera-loads] [--shadows-load] [--threads N] [--in-flight N] [--slow] [--quick] [--times N] [--policies]
 //!
 //! MODEL: `gearsN` or `toriN` (made here) or a model or compiled file. Answers of all runs are compared. Blocks are read past the page cache.
 //!
 //! `--threads`: that many threads load for the pool, instead of the one that traces. `--slow`: each read takes 5 ms more, and
-//! all share 40 MB/s. `--times`: instead of counts, times with a slot for each block and with each percentage, as many times in turn, and their
+//! all share 40 MB/s. `--quick`: the trees of blocks are made in less time. `--times`: instead of counts, times with a slot for each block and with each percentage, as many times in turn, and their
 //! medians. `--policies`: a table of loads by replacement policy, and the fewest that any could have with the pool's own order of visits.
 
 mod drive;
@@ -26,7 +26,7 @@ use mixes::Mix;
 use outcrop::access::{AccessTrace, optimum_loads, replay};
 use outcrop::cache::Policy;
 use outcrop::compile::{CompileOptions, Control, compile_file, compile_shape};
-use outcrop::octree::OctreeOptions;
+use outcrop::octree::{OctreeOptions, TreeQuality};
 use outcrop::procedural::{Gears, Shape, TorusField};
 use outcrop::source::testing::SlowSource;
 use outcrop::source::{BlockSource, DiskSource, PageCache};
@@ -47,6 +47,7 @@ struct Options {
     threads: u32,
     in_flight: u32,
     slow: bool,
+    quick: bool,
     times: usize,
     policies: bool,
 }
@@ -68,6 +69,7 @@ impl Options {
             threads: 0,
             in_flight: 8,
             slow: false,
+            quick: false,
             times: 0,
             policies: false,
         };
@@ -87,6 +89,7 @@ impl Options {
                 Long("threads") => options.threads = parser.value()?.parse()?,
                 Long("in-flight") => options.in_flight = parser.value()?.parse()?,
                 Long("slow") => options.slow = true,
+                Long("quick") => options.quick = true,
                 Long("policies") => options.policies = true,
                 Long("times") => options.times = parser.value()?.parse()?,
                 // `cargo bench` adds it.
@@ -135,8 +138,10 @@ fn compiled(model: &str, folder: &Path) -> PathBuf {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let options = Options::parse()?;
     let folder = tempfile::tempdir()?;
-    let bench =
-        Bench { path: compiled(&options.model, folder.path()), side: options.side, slow: options.slow };
+    let path = compiled(&options.model, folder.path());
+    let block_count = DiskSource::open(&path)?.model().blocks.len();
+    let quality = if options.quick { TreeQuality::Quick } else { TreeQuality::default() };
+    let bench = Bench { path, block_count, side: options.side, slow: options.slow, quality };
     println!("{}, {} x {} pixels", options.model, options.side, options.side);
     for mix in &options.mixes {
         if options.times > 0 {
@@ -261,8 +266,10 @@ fn times(bench: &Bench, mix: Mix, options: &Options) {
 
 struct Bench {
     path: PathBuf,
+    block_count: usize,
     side: u32,
     slow: bool,
+    quality: TreeQuality,
 }
 
 #[derive(Clone, Copy)]
@@ -277,7 +284,7 @@ struct Measured {
 impl Bench {
     /// Slots for that part of the blocks.
     fn slots(&self, percent: f64) -> u32 {
-        slots_of(&DiskSource::open(&self.path).expect("a compiled file"), percent)
+        (self.block_count as f64 * percent / 100.0).ceil() as u32
     }
 
     /// A run from a cold octree, past the page cache.
@@ -300,8 +307,12 @@ impl Bench {
         } else {
             Arc::new(disk)
         };
-        let slots = slots_of(&*source, percent);
-        let octree_options = OctreeOptions { slots_max: Some(slots), policy, ..OctreeOptions::default() };
+        let octree_options = OctreeOptions {
+            slots_max: Some(self.slots(percent)),
+            policy,
+            quality: self.quality,
+            ..OctreeOptions::default()
+        };
         let budget = MemoryBudget::new(Bytes(1 << 40));
         let mut octree = LazyOctree::open(source, &budget, octree_options).expect("the budget is ample");
         let recorder = accesses.map(|path| {
@@ -315,11 +326,6 @@ impl Bench {
         }
         Measured { run, wall: start.elapsed().as_secs_f64(), cpu: processor_time() - cpu }
     }
-}
-
-/// That part of the blocks.
-fn slots_of(source: &dyn BlockSource, percent: f64) -> u32 {
-    (source.model().blocks.len() as f64 * percent / 100.0).ceil() as u32
 }
 
 /// Of this process, in seconds; 0 where it cannot be asked.

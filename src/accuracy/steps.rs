@@ -3,6 +3,7 @@
 //! What a step is expected to bring follows from what is known of each pixel. Only the certificate at its end counts: if that says that
 //! more was expected than came of it, the next step is expected to bring that much less.
 
+use std::rc::Rc;
 use std::time::Instant;
 
 use super::check;
@@ -47,6 +48,8 @@ struct Steps<'r, 'a> {
     quantile: f64,
     /// As it is now, with all that its steps took.
     image: Option<RenderedImage>,
+    /// What is known of its pixels, once somebody has asked.
+    sampled: Option<Rc<Vec<Sampled>>>,
     /// What a check of it as it is now has said, and a certificate.
     known: Option<Known>,
     certificate: Option<Certificate>,
@@ -130,6 +133,7 @@ impl Job<'_, '_> {
             confidence,
             quantile,
             image: None,
+            sampled: None,
             known: None,
             certificate: None,
             expected: 0.0,
@@ -230,13 +234,13 @@ impl Job<'_, '_> {
 
     /// Has a check tell how large errors of single samples are over what their deviations say; false if the caller wants no more.
     fn look_at_singles(&mut self, steps: &mut Steps<'_, '_>) -> Result<bool, RenderError> {
+        let pixels = steps.pixels();
         let Some(image) = steps.image.take() else { return Ok(false) };
         if image.report.outcome == Outcome::Cancelled {
             steps.image = Some(image);
             return Ok(false);
         }
         let begun = Instant::now();
-        let pixels = sampled(&image.film);
         let known = self.check(steps.renderer, &image, &pixels)?;
         (steps.image, steps.known) = (Some(image), Some(known));
         self.seconds.checking += begun.elapsed().as_secs_f64();
@@ -252,11 +256,13 @@ impl Job<'_, '_> {
     /// Goes on until every pixel has its first samples, and looks at what is known of each beside its neighbours.
     fn first_step(&mut self, steps: &mut Steps<'_, '_>) -> Result<(), RenderError> {
         self.step(steps, f64::INFINITY)?;
-        if let Some(draft) = steps.renderer.draft() {
-            draft.look_around();
+        if steps.is_cancelled() {
+            return Ok(());
         }
-        // A film with the deviations that follow.
-        self.step(steps, f64::INFINITY)?;
+        if let Some(image) = &mut steps.image {
+            steps.renderer.look_around(&mut image.film);
+        }
+        steps.sampled = None;
         steps.open_none();
         Ok(())
     }
@@ -274,7 +280,7 @@ impl Job<'_, '_> {
         let attempt = self.counters.attempts;
         let told = &mut *self.progress;
         let mut progress = |progress: Progress| told(GoalProgress { attempt, progress });
-        (steps.known, steps.certificate) = (None, None);
+        (steps.sampled, steps.known, steps.certificate) = (None, None, None);
         // The film is made anew, so that of the step before is not needed any longer.
         let before = steps.image.take().map(|image| image.report);
         let mut image = steps.renderer.render_steered(self.threads, &|_| Some(error), &mut progress)?;
@@ -303,14 +309,14 @@ impl Job<'_, '_> {
 
     /// What is known of the picture as it is, and whether that is enough.
     fn certify(&mut self, steps: &mut Steps<'_, '_>) -> Result<Certificate, RenderError> {
-        let knobs = self.knobs_of(steps);
+        let (knobs, pixels) = (self.knobs_of(steps), steps.pixels());
         let Some(image) = &mut steps.image else { return Err(RenderError::Cancelled) };
         image.report.samples_per_pixel = steps.fixed.unwrap_or(self.options.samples_max);
         // What a check says is of samples that stop; of fixed ones the halves tell.
         let known = match (steps.fixed, steps.known) {
             (None, None) if image.report.outcome == Outcome::Complete => {
                 let begun = Instant::now();
-                let known = self.check(steps.renderer, image, &sampled(&image.film))?;
+                let known = self.check(steps.renderer, image, &pixels)?;
                 self.seconds.checking += begun.elapsed().as_secs_f64();
                 Some(known)
             }
@@ -467,8 +473,10 @@ impl Steps<'_, '_> {
         self.deviation = widest * (1.0 + 1e-6);
     }
 
-    fn pixels(&self) -> Vec<Sampled> {
-        self.image.as_ref().map_or_else(Vec::new, |image| sampled(&image.film))
+    /// What is known of each pixel.
+    fn pixels(&mut self) -> Rc<Vec<Sampled>> {
+        let known = || self.image.as_ref().map_or_else(Vec::new, |image| sampled(&image.film));
+        Rc::clone(self.sampled.get_or_insert_with(|| Rc::new(known())))
     }
 
     /// Samples of each pixel.

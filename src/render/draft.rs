@@ -4,6 +4,8 @@
 //! Where a pixel stops is the first doubling at which its deviation is small enough. So a picture at a high threshold that goes on at a lower
 //! one ends where one does that was made at the lower one at once: bit for bit, as each pixel adds up its samples in their order (I2).
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use glam::DVec3;
 use parking_lot::Mutex;
 
@@ -11,7 +13,7 @@ use super::adaptive::SampleBlocks;
 use super::film::{PixelCost, PixelStatistics, to_f32};
 use super::settings::RenderSettings;
 use super::stage::Stage;
-use super::tile_samples::{FinishedTile, contrast};
+use super::tile_samples::FinishedTile;
 use super::tiles::Area;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::BudgetError;
@@ -39,14 +41,26 @@ impl PixelState {
         cost: PixelCost { box_tests: 0, triangle_tests: 0 },
     };
 
-    /// What a film shows of it.
-    pub fn mean(&self) -> [f32; 3] {
-        to_f32(self.sum / f64::from(self.blocks.samples()))
+    fn shown(&self) -> Shown {
+        Shown {
+            mean: to_f32(self.sum / f64::from(self.blocks.samples())),
+            statistics: self.blocks.statistics(self.deviation),
+            deviation: self.deviation,
+        }
     }
+}
 
-    pub fn statistics(&self) -> PixelStatistics {
-        self.blocks.statistics(self.deviation)
-    }
+/// What a film shows of a pixel, and its deviation as it is: apart from the rest, as most pixels of most steps need no more than a look.
+#[derive(Clone, Copy, Debug)]
+struct Shown {
+    mean: [f32; 3],
+    statistics: PixelStatistics,
+    deviation: f64,
+}
+
+impl Shown {
+    const NOTHING: Shown =
+        Shown { mean: [0.0; 3], statistics: PixelStatistics::NONE, deviation: f64::INFINITY };
 }
 
 /// What pixels are asked for: so many samples in any case, and more while their deviation is too large.
@@ -81,17 +95,20 @@ impl Wanted {
 /// See the module's text.
 #[derive(Debug)]
 pub(crate) struct Draft {
-    width: usize,
-    kept: Mutex<Kept>,
+    /// From the top. Each for itself, so that threads at different tiles seldom wait for each other.
+    rows: Vec<Mutex<Row>>,
+    least: AtomicU32,
     _reservation: Reservation,
 }
 
 #[derive(Debug)]
-struct Kept {
-    /// Row by row.
+struct Row {
     pixels: Vec<PixelState>,
-    least: u32,
+    shown: Vec<Shown>,
 }
+
+/// The least and the greatest sample of pixels, per channel.
+type Range = [DVec3; 2];
 
 impl Draft {
     /// Of a picture without samples, that so many threads work on.
@@ -105,67 +122,95 @@ impl Draft {
     ) -> Result<Draft, BudgetError> {
         let bytes = Draft::bytes_needed(settings, threads);
         let reservation = budget.reserve(bytes, "a picture that goes on")?;
-        let count = settings.width as usize * settings.height as usize;
+        let width = settings.width as usize;
+        let row = || Row { pixels: vec![PixelState::EMPTY; width], shown: vec![Shown::NOTHING; width] };
         Ok(Draft {
-            width: settings.width as usize,
-            kept: Mutex::new(Kept { pixels: vec![PixelState::EMPTY; count], least: 0 }),
+            rows: (0..settings.height).map(|_| Mutex::new(row())).collect(),
+            least: AtomicU32::new(0),
             _reservation: reservation,
         })
     }
 
-    /// What [`Draft::new`] takes from the budget: the pixels, their contrasts while they are measured, and for each thread a tile that needs no
-    /// more samples.
+    /// What [`Draft::new`] takes from the budget: the pixels, four rows of ranges while contrasts are measured, and for each thread a tile that
+    /// needs no more samples.
     pub fn bytes_needed(settings: &RenderSettings, threads: usize) -> Bytes {
-        let pixels = u64::from(settings.width) * u64::from(settings.height);
+        let (width, height) = (u64::from(settings.width), u64::from(settings.height));
         let tile = u64::from(settings.tile_size.min(settings.width))
             * u64::from(settings.tile_size.min(settings.height));
-        let kept = size_of::<PixelState>() + size_of::<DVec3>();
+        let row =
+            width * (size_of::<PixelState>() + size_of::<Shown>()) as u64 + size_of::<Mutex<Row>>() as u64;
+        let ranges = 4 * width * size_of::<Range>() as u64;
         let finished = size_of::<[f32; 3]>() + size_of::<PixelStatistics>() + size_of::<PixelCost>();
-        Bytes(pixels * kept as u64 + threads as u64 * tile * finished as u64)
+        Bytes(height * row + ranges + threads as u64 * tile * finished as u64)
     }
 
     /// Asks every pixel to have so many samples in any case.
     pub fn set_least(&self, samples: u32) {
-        self.kept.lock().least = samples;
+        self.least.store(samples, Ordering::Relaxed);
     }
 
     /// Samples that every pixel is asked to have.
     pub fn least(&self) -> u32 {
-        self.kept.lock().least
+        self.least.load(Ordering::Relaxed)
     }
 
-    /// Measures the contrast of each pixel with its neighbours; to be called when all have the first samples of adaptive sampling, before any goes on alone.
+    /// Measures the contrast of each pixel with its neighbours ([`contrast`](super::tile_samples::contrast)); to be called when all have the
+    /// first samples of adaptive sampling, before any goes on alone.
     pub fn look_around(&self) {
-        let mut kept = self.kept.lock();
-        let (width, height) = (self.width, kept.pixels.len() / self.width);
-        let contrasts: Vec<DVec3> = {
-            let range = |x: usize, y: usize| kept.pixels[y * width + x].blocks.range();
-            let at = |index: usize| [index % width, index / width];
-            (0..kept.pixels.len()).map(|index| contrast([width, height], at(index), range)).collect()
-        };
-        for (pixel, contrast) in kept.pixels.iter_mut().zip(contrasts) {
-            pixel.contrast = contrast;
-            pixel.deviation = pixel.blocks.deviation(contrast);
+        let [mut above, mut here, mut below] = [(); 3].map(|()| vec![NO_RANGE; self.width()]);
+        let mut own = vec![NO_RANGE; self.width()];
+        self.ranges(0, &mut own, &mut below);
+        for (y, row) in self.rows.iter().enumerate() {
+            (above, here, below) = (here, below, above);
+            self.ranges(y + 1, &mut own, &mut below);
+            let Row { pixels, shown } = &mut *row.lock();
+            for (x, (pixel, shown)) in pixels.iter_mut().zip(shown).enumerate() {
+                let [low, high] = together(together(above[x], here[x]), below[x]);
+                pixel.contrast = high - low;
+                pixel.deviation = pixel.blocks.deviation(pixel.contrast);
+                *shown = pixel.shown();
+            }
+        }
+    }
+
+    fn width(&self) -> usize {
+        self.rows.first().map_or(0, |row| row.lock().pixels.len())
+    }
+
+    /// The range of each pixel of a row with its neighbours on either side; none for a row below the picture. `own`: room for those without.
+    fn ranges(&self, y: usize, own: &mut [Range], ranges: &mut [Range]) {
+        let Some(row) = self.rows.get(y) else { return ranges.fill(NO_RANGE) };
+        for (own, pixel) in own.iter_mut().zip(&row.lock().pixels) {
+            *own = pixel.blocks.range();
+        }
+        let at = |x: usize| own.get(x).copied().unwrap_or(NO_RANGE);
+        for (x, range) in ranges.iter_mut().enumerate() {
+            *range = together(together(at(x.wrapping_sub(1)), at(x)), at(x + 1));
         }
     }
 
     /// Gives the pixels of an area, row by row, to `take`.
     pub(super) fn read(&self, area: &Area, mut take: impl FnMut(u32, u32, &PixelState)) {
-        let kept = self.kept.lock();
         for y in 0..area.height {
-            let start = (area.y + y) as usize * self.width + area.x as usize;
-            for (x, pixel) in (0..area.width).zip(&kept.pixels[start..]) {
+            let row = self.rows[(area.y + y) as usize].lock();
+            for (x, pixel) in (0..area.width).zip(&row.pixels[area.x as usize..]) {
                 take(x, y, pixel);
             }
         }
     }
 
-    /// Keeps what pixels of an area have now: each by its place in the area.
-    pub(super) fn write(&self, area: &Area, pixels: impl Iterator<Item = ([u16; 2], PixelState)>) {
-        let mut kept = self.kept.lock();
-        for ([x, y], pixel) in pixels {
-            let (x, y) = (area.x as usize + usize::from(x), area.y as usize + usize::from(y));
-            kept.pixels[y * self.width + x] = pixel;
+    /// Keeps what pixels of an area have now. `pixel` is asked for that of each place, row by row, and told how many samples it had; it gives nothing
+    /// for one that has no more.
+    pub(super) fn write(&self, area: &Area, mut pixel: impl FnMut(u32, u32, u32) -> Option<PixelState>) {
+        for y in 0..area.height {
+            let mut row = self.rows[(area.y + y) as usize].lock();
+            for x in 0..area.width {
+                let at = (area.x + x) as usize;
+                if let Some(pixel) = pixel(x, y, row.shown[at].statistics.samples) {
+                    row.shown[at] = pixel.shown();
+                    row.pixels[at] = pixel;
+                }
+            }
         }
     }
 
@@ -178,8 +223,10 @@ impl Draft {
         finished: &mut FinishedTile,
     ) -> bool {
         let wanted = Wanted::by(stage, self.least(), threshold);
-        let mut is_open = false;
-        self.read(area, |_, _, pixel| is_open |= wanted.is_open(pixel.blocks.samples(), pixel.deviation));
+        let is_open = (area.y..area.y + area.height).any(|y| {
+            let shown = &self.rows[y as usize].lock().shown[area.x as usize..][..area.width as usize];
+            shown.iter().any(|pixel| wanted.is_open(pixel.statistics.samples, pixel.deviation))
+        });
         if !is_open {
             self.show(stage, area, finished);
         }
@@ -197,16 +244,26 @@ impl Draft {
         finished.costs.clear();
         finished.costs.reserve_exact(if settings.keep_costs { count } else { 0 });
         let mut is_whole = true;
-        self.read(area, |_, _, pixel| {
-            is_whole &= pixel.blocks.samples() > 0;
-            finished.pixels.push(pixel.mean());
+        for y in area.y..area.y + area.height {
+            let row = self.rows[y as usize].lock();
+            let columns = area.x as usize..(area.x + area.width) as usize;
+            let shown = &row.shown[columns.clone()];
+            is_whole &= shown.iter().all(|pixel| pixel.statistics.samples > 0);
+            finished.pixels.extend(shown.iter().map(|pixel| pixel.mean));
             if settings.keep_statistics {
-                finished.statistics.push(pixel.statistics());
+                finished.statistics.extend(shown.iter().map(|pixel| pixel.statistics));
             }
             if settings.keep_costs {
-                finished.costs.push(pixel.cost);
+                finished.costs.extend(row.pixels[columns].iter().map(|pixel| pixel.cost));
             }
-        });
+        }
         is_whole
     }
+}
+
+/// Of no pixel.
+const NO_RANGE: Range = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+
+fn together([low, high]: Range, [other_low, other_high]: Range) -> Range {
+    [low.min(other_low), high.max(other_high)]
 }

@@ -14,6 +14,7 @@ use super::resample::{self, Resampled, SampledPixel};
 use super::settings::{RenderSettings, WaitingRays};
 use super::stage::Stage;
 use super::tile_samples::FinishedTile;
+use super::tiles::Area;
 use super::waiting::{Extent, PoolQuery, WaitingPlan};
 use super::workers::{self, ProgressFn, Thresholds, Totals};
 use super::{Progress, paths};
@@ -377,12 +378,24 @@ impl Renderer<'_> {
 
     /// Puts on the film of a render that was stopped what is kept of the tiles that it did not come to.
     pub(crate) fn fill_in(&self, film: &mut Film) {
+        self.show_draft(film, |film, area| !film.is_finished(area.x, area.y));
+    }
+
+    /// Has the first samples of all pixels look at each other, and puts on the film of a whole picture what is known then.
+    pub(crate) fn look_around(&self, film: &mut Film) {
+        if let Some(draft) = &self.stage.draft {
+            draft.look_around();
+            self.show_draft(film, |_, _| true);
+        }
+    }
+
+    fn show_draft(&self, film: &mut Film, is_asked: impl Fn(&Film, &Area) -> bool) {
         let Some(draft) = &self.stage.draft else { return };
         let mut kept = FinishedTile::default();
         let grid = &self.stage.grid;
         for cell in 0..grid.tile_count() as u32 {
             let area = grid.area(cell);
-            if !film.is_finished(area.x, area.y) && draft.show(&self.stage, &area, &mut kept) {
+            if is_asked(film, &area) && draft.show(&self.stage, &area, &mut kept) {
                 film.set_tile(grid, cell, &kept.pixels);
                 film.set_statistics(grid, cell, &kept.statistics);
                 film.set_costs(grid, cell, &kept.costs);

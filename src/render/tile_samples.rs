@@ -303,14 +303,22 @@ impl TileSamples {
             return 0;
         }
         if let Some(draft) = &stage.draft {
-            let states = pixels.iter().enumerate().map(|(index, pixel)| {
+            let mut saved = self.had;
+            draft.write(area, |x, y, samples_before| {
+                let index = self.places[(y * area.width + x) as usize] as usize;
+                let samples = blocks[index].samples();
+                saved += u64::from(settings.samples_per_pixel - samples);
+                if samples == samples_before {
+                    return None;
+                }
                 let cost = costs.get(index).copied().unwrap_or_default();
                 let (sum, blocks, contrast) = (sums[index], blocks[index], contrasts[index]);
-                (*pixel, PixelState { sum, blocks, contrast, deviation: deviations[index], cost })
+                Some(PixelState { sum, blocks, contrast, deviation: deviations[index], cost })
             });
-            draft.write(area, states);
+            draft.show(stage, area, finished);
+            return saved;
         }
-        let mut saved = self.had;
+        let mut saved = 0;
         for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {
             let [x, y] = pixel.map(u32::from);
             let (x, y) = (place.ground.x + x - area.x, place.ground.y + y - area.y);
@@ -323,7 +331,6 @@ impl TileSamples {
             }
             if let Some(statistics) = finished.statistics.get_mut(to) {
                 let deviation = match contrasts.get(index) {
-                    _ if stage.draft.is_some() => deviations[index],
                     Some(contrast) => blocks[index].deviation(*contrast),
                     // Without neighbours a single sample says nothing.
                     None if samples == 1 => f64::INFINITY,

@@ -45,7 +45,7 @@ impl Default for LazyOptions {
     fn default() -> LazyOptions {
         LazyOptions {
             compile: CompileOptions::default(),
-            cell_triangles: 16 << 10,
+            cell_triangles: 32 << 10,
             cells_at_once: 1,
             anew: false,
         }
