@@ -176,9 +176,9 @@ fn inputs_that_are_not_there_or_say_nothing() {
         }
         other => panic!("{other:?}"),
     }
-    let compiler = Compiler::new(&place.output(), options.clone(), &budget, &mut go_on).unwrap();
+    let compiler = Compiler::new(place.output(), options.clone(), &budget, &mut go_on).unwrap();
     assert!(matches!(compiler.finish(), Err(CompileError::Empty)));
-    let mut compiler = Compiler::new(&place.output(), options, &budget, &mut go_on).unwrap();
+    let mut compiler = Compiler::new(place.output(), options, &budget, &mut go_on).unwrap();
     compiler.vertices(VertexBatch::Float32(&[[f32::NAN; 3], [0.0; 3]])).unwrap();
     let error = compiler.triangles(&[[0, 1, 2]], MaterialId(0)).unwrap_err();
     assert!(error.to_string().contains("vertex 2"), "{error}");
@@ -211,7 +211,7 @@ fn options_that_make_no_sense_are_refused() {
         CompileOptions { block_bytes: 1 << 20, ..CompileOptions::default() },
         CompileOptions { precision, ..CompileOptions::default() },
     ] {
-        let result = Compiler::new(&place.output(), options, &budget, &mut |_| Control::Continue).map(drop);
+        let result = Compiler::new(place.output(), options, &budget, &mut |_| Control::Continue).map(drop);
         assert!(matches!(result, Err(CompileError::Limit { .. })), "{result:?}");
     }
 }

@@ -147,12 +147,12 @@ impl<'p> Compiler<'p> {
     /// # Errors
     /// The budget is too small ([`CompileError::Budget`]) or an option makes no sense ([`CompileError::Limit`]).
     pub fn new(
-        output: &Path,
+        output: impl AsRef<Path>,
         options: CompileOptions,
         budget: &MemoryBudget,
         progress: &'p mut dyn FnMut(Progress) -> Control,
     ) -> Result<Compiler<'p>, CompileError> {
-        let start = Moment::now();
+        let (start, output) = (Moment::now(), output.as_ref());
         let limits = BlockLimits { block_bytes_max: options.block_bytes };
         limits.validate().map_err(|reason| CompileError::Limit { reason: reason.to_string() })?;
         if !options.codec.is_available() {

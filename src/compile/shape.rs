@@ -14,7 +14,7 @@ use crate::procedural::Shape;
 /// [`CompileError`]; no file is left then, and one that was at `output` before is as it was.
 pub fn compile_shape(
     shape: &dyn Shape,
-    output: &Path,
+    output: impl AsRef<Path>,
     options: &CompileOptions,
     budget: &MemoryBudget,
     progress: &mut dyn FnMut(Progress) -> Control,

@@ -138,7 +138,7 @@ fn the_file_is_that_of_a_compile_at_once() {
     let options = LazyOptions { cell_triangles: 64 << 10, ..LazyOptions::default() };
     let (place, budget) = (Place::new(), budget());
     let mut go_on = |_| Control::Continue;
-    let mut compiler = Compiler::new(&place.output(), options.compile.clone(), &budget, &mut go_on).unwrap();
+    let mut compiler = Compiler::new(place.output(), options.compile.clone(), &budget, &mut go_on).unwrap();
     compiler.set_source(SOURCE);
     mesh.emit(&mut compiler).unwrap();
     let eager_report = compiler.finish().unwrap();

@@ -32,7 +32,8 @@ impl ImageFormat {
     ///
     /// # Errors
     /// [`RenderError::Setting`] if it names none, or one that this build leaves out.
-    pub fn of_path(path: &Path) -> Result<ImageFormat, RenderError> {
+    pub fn of_path(path: impl AsRef<Path>) -> Result<ImageFormat, RenderError> {
+        let path = path.as_ref();
         let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or("");
         let error = |reason: String| Err(RenderError::Setting { what: "image file", reason });
         match extension.to_ascii_lowercase().as_str() {
