@@ -186,7 +186,7 @@ fn separable(plane: &[f64], width: usize, kernel: &[f64]) -> Plane {
 }
 
 /// What a filter runs along.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 enum Axis {
     Rows,
     Columns,
@@ -339,6 +339,34 @@ mod tests {
 
     const WIDTH: usize = 48;
     const HEIGHT: usize = 40;
+
+    /// Against a sum for each pixel, also where rows are shorter than the kernel or no multiple of what is summed at once.
+    #[test]
+    fn filters_are_what_a_naive_twin_gives() {
+        let kernel: Vec<f64> = (0..21).map(|tap| f64::from(tap * tap % 13) - 5.5).collect();
+        for (width, height) in [(1, 1), (1, 40), (5, 3), (15, 4), (16, 30), (17, 2), (32, 1), (50, 23)] {
+            let plane: Vec<f64> =
+                (0..width * height).map(|index| ((index * 37 % 101) as f64).sqrt()).collect();
+            for axis in [Axis::Rows, Axis::Columns] {
+                let at = |x: i64, y: i64| {
+                    let clamp = |value: i64, size: usize| value.clamp(0, size as i64 - 1) as usize;
+                    plane[clamp(y, height) * width + clamp(x, width)]
+                };
+                let sum = |index: usize| {
+                    let (x, y) = ((index % width) as i64, (index / width) as i64);
+                    (-10..).zip(&kernel).fold(0.0, |sum, (offset, weight)| {
+                        sum + weight
+                            * match axis {
+                                Axis::Rows => at(x + offset, y),
+                                Axis::Columns => at(x, y + offset),
+                            }
+                    })
+                };
+                let expected: Plane = (0..plane.len()).map(sum).collect();
+                assert_eq!(filter(&plane, width, height, axis, &kernel), expected, "{width} x {height}");
+            }
+        }
+    }
 
     fn picture(of: impl Fn(i64, i64) -> [f64; 3]) -> Vec<[f32; 3]> {
         let at = |index: usize| of((index % WIDTH) as i64, (index / WIDTH) as i64).map(|x| x as f32);

@@ -256,13 +256,11 @@ impl Job<'_, '_> {
     /// Goes on until every pixel has its first samples, and looks at what is known of each beside its neighbours.
     fn first_step(&mut self, steps: &mut Steps<'_, '_>) -> Result<(), RenderError> {
         self.step(steps, f64::INFINITY)?;
-        if steps.is_cancelled() {
-            return Ok(());
-        }
-        if let Some(image) = &mut steps.image {
+        let is_cancelled = steps.is_cancelled();
+        if let Some(image) = steps.image.as_mut().filter(|_| !is_cancelled) {
             steps.renderer.look_around(&mut image.film);
+            steps.sampled = None;
         }
-        steps.sampled = None;
         steps.open_none();
         Ok(())
     }

@@ -283,6 +283,22 @@ impl TileSamples {
         let TileSamples { place, pixels, sums, blocks, costs, contrasts, deviations, .. } = self;
         let settings = &stage.settings;
         let area = &place.area;
+        if let Some(draft) = &stage.draft {
+            let mut saved = self.had;
+            draft.write(area, |x, y, samples_before| {
+                let index = self.places[(y * area.width + x) as usize] as usize;
+                let samples = blocks[index].samples();
+                saved += u64::from(settings.samples_per_pixel - samples);
+                if samples == samples_before {
+                    return None;
+                }
+                let cost = costs.get(index).copied().unwrap_or_default();
+                let (sum, blocks, contrast) = (sums[index], blocks[index], contrasts[index]);
+                Some(PixelState { sum, blocks, contrast, deviation: deviations[index], cost })
+            });
+            draft.show(stage, area, finished);
+            return saved;
+        }
         let count = area.width as usize * area.height as usize;
         // Every one is set below.
         finished.pixels.resize(count, [0.0; 3]);
@@ -301,22 +317,6 @@ impl TileSamples {
                 finished.costs[to(*pixel)] = *cost;
             }
             return 0;
-        }
-        if let Some(draft) = &stage.draft {
-            let mut saved = self.had;
-            draft.write(area, |x, y, samples_before| {
-                let index = self.places[(y * area.width + x) as usize] as usize;
-                let samples = blocks[index].samples();
-                saved += u64::from(settings.samples_per_pixel - samples);
-                if samples == samples_before {
-                    return None;
-                }
-                let cost = costs.get(index).copied().unwrap_or_default();
-                let (sum, blocks, contrast) = (sums[index], blocks[index], contrasts[index]);
-                Some(PixelState { sum, blocks, contrast, deviation: deviations[index], cost })
-            });
-            draft.show(stage, area, finished);
-            return saved;
         }
         let mut saved = 0;
         for (index, pixel) in pixels.iter().enumerate().filter(|(_, pixel)| place.is_own(**pixel)) {

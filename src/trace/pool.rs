@@ -5,7 +5,7 @@ use super::closest::{Prepared, closest_hit};
 use super::in_flight::{Arrival, InFlight};
 use super::loader::BlockLoader;
 use super::policy::Policy;
-use super::suspended::{Query, SuspendedRays};
+use super::suspended::{Query, SuspendedRays, turns_back};
 use super::tracer::{Query as Kernel, enter};
 use super::{Answers, AnyRequest, ClosestRequest, LoadStats, MaterialSet, OnMissing, Tracer};
 use crate::access::{BlockSketch, QueryKind};
@@ -25,8 +25,9 @@ pub struct PoolOptions {
     pub suspended: u32,
     /// Materials that any-hit queries ignore.
     pub ignore: Option<MaterialSet>,
-    /// How many rays, at most, are asked for at once because of the answer to a closest-hit query: shadow rays and the ray that goes on. Where
-    /// there is no room for so many, a ray that waits goes on waiting. With 0 that is the caller's care.
+    /// How many rays, at most, are asked for at once because of the answer to a closest-hit query: shadow rays and the ray that goes on. While
+    /// there is no room for so many, closest-hit queries wait longer than for their blocks, as long as any-hit queries wait that could make room. With 0 no
+    /// room is kept.
     pub children: u32,
 }
 
@@ -37,21 +38,27 @@ impl Default for PoolOptions {
 }
 
 impl PoolOptions {
-    /// Places for rays: some more than wait before a load, because the rays that a load sets free have children.
+    /// Places for rays: some more than wait before a load, for the children of those that the load sets free.
     fn capacity(&self) -> u32 {
         if self.suspended == 0 {
             0
         } else {
-            self.suspended.saturating_add(self.suspended / 4).saturating_add(1)
+            let more = (self.suspended / 4).saturating_add(1).max(self.children);
+            self.suspended.saturating_add(more)
         }
+    }
+
+    /// Where fewer places are left, those are to end that can.
+    fn kept_free(&self) -> u32 {
+        if self.children == 0 { 0 } else { (self.capacity() / 10).max(self.children) }
     }
 }
 
 /// Answers queries on one thread, in whatever order costs the fewest block loads.
 ///
 /// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded. Blocks are loaded in turn, in
-/// the order of the file (to and fro, if many of them are in memory at once), those for which little waits in a later turn, and everything that waits for a block runs. There are no rounds: rays may be added
-/// at any time, and so can those that answers lead to.
+/// the order of the file (to and fro, if many of them are in memory at once), those for which little waits in a later turn. What waits for a block then
+/// runs, unless room is short ([`PoolOptions::children`]). There are no rounds: rays may be added at any time, and so can those that answers lead to.
 ///
 /// Answers are those of a [`Tracer`], whatever the pool's size and order (I2). When the pool is full, rays load what
 /// they need, depth first: nothing fails and nothing grows.
@@ -137,7 +144,7 @@ impl<'o> BlockLoader<'o> {
 }
 
 impl<'o> RayPool<'o> {
-    /// Most rays that one call of [`RayPool::resume`] answers.
+    /// Most closest-hit queries, and most any-hit queries, that one call of [`RayPool::resume`] answers.
     pub const RESUMED_MAX: usize = 1024;
 
     fn new(
@@ -147,12 +154,18 @@ impl<'o> RayPool<'o> {
     ) -> Result<RayPool<'o>, TraceError> {
         let tracer = octree.tracer()?;
         let block_count = octree.model().block_id_count() as usize;
-        let slot_count = octree.cache.slot_count();
+        let turns_back = turns_back(octree.cache.slot_count(), octree.model().expected_block_count());
         let bytes = RayPool::bytes_needed(&options, block_count);
         let reservation = octree.budget.reserve(bytes, "a pool of suspended rays")?;
         Ok(RayPool {
             tracer,
-            suspended: SuspendedRays::new(options.capacity(), block_count, InFlight::MAX, slot_count),
+            suspended: SuspendedRays::new(
+                options.capacity(),
+                block_count,
+                InFlight::MAX,
+                options.kept_free(),
+                turns_back,
+            ),
             wanted: options.suspended,
             children: options.children,
             closest_max: 0,
@@ -206,8 +219,8 @@ impl<'o> RayPool<'o> {
         Ok(())
     }
 
-    /// Makes one block resident, if rays wait, and runs those that wait for it, at most [`RayPool::RESUMED_MAX`];
-    /// appends to `answers`. Returns whether rays waited when it was called.
+    /// Makes one block resident, if rays wait, and runs those that wait for it, at most [`RayPool::RESUMED_MAX`] of each kind, and of closest-hit queries no
+    /// more than have room for their children ([`PoolOptions::children`]), but one if there is nothing else; appends to `answers`. Returns whether rays waited when it was called.
     ///
     /// With a loader, it asks for the next blocks and runs the rays of one that has arrived; it waits if none
     /// has.
@@ -248,7 +261,7 @@ impl<'o> RayPool<'o> {
         self.suspended.room().checked_div(self.children).map_or(usize::MAX, |rays| rays as usize)
     }
 
-    /// Ends work on a block. What still waits for it waits once more.
+    /// Ends work on a block. It can be chosen again if rays still wait for it.
     fn leave(&mut self, current: Current<'o>) {
         if current.pin.is_some() {
             self.suspended.end_load(current.block);
@@ -320,7 +333,10 @@ impl<'o> RayPool<'o> {
             in_flight.request(&mut self.suspended, u32::from(held));
         }
         if let Some(current) = self.current.take() {
-            if self.closest_room() > 0 {
+            // Where nothing ends elsewhere, nothing is gained by leaving.
+            let ends =
+                |of: &SuspendedRays| of.any_count(current.block) > 0 || !of.any_elsewhere(current.block);
+            if self.closest_room() > 0 || ends(&self.suspended) {
                 return Ok(Some(current));
             }
             self.leave(current);

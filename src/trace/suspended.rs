@@ -56,17 +56,17 @@ impl List {
     const EMPTY: List = List { first: NONE, last: NONE };
 }
 
-/// A block is passed over while rays of more than so many times its weight wait for another.
+/// A block is passed over while another is worth more than so many times as much.
 const SHARE_MIN: u64 = 32;
 
-/// With so large a part of the blocks in memory, the way through the file goes to and fro: those that come next after a turn are those that
-/// were loaded last. With fewer that is worth less than what it costs, that blocks near the ends come twice in a row.
-const TURNS_BACK: usize = 12;
+/// Whether the way through a file of so many blocks, of which `slot_count` are in memory at once, is to turn back at its ends: then the blocks that
+/// come next are those that were loaded last. With less than a twelfth in memory that is worth less than what it costs, that blocks near the ends come
+/// twice in a row.
+pub(super) fn turns_back(slot_count: u32, block_count: u32) -> bool {
+    slot_count >= block_count / 12
+}
 
-/// Room is short where less than this part of all is left.
-const SHORT: u32 = 10;
-
-/// How far behind the last choice the next is looked for: so that it takes less time than a load, however large the model.
+/// How far from the last choice the next is looked for: so that it takes less time than a load, however large the model.
 const STEPS_MAX: u32 = 1 << 16;
 
 /// See the module. Nothing is allocated after [`SuspendedRays::new`].
@@ -76,6 +76,8 @@ pub(super) struct SuspendedRays {
     free_record: u32,
     count: u32,
     peak: u32,
+    /// How many of those that wait in queues are any-hit queries.
+    any_total: u32,
     queues: Vec<Queue>,
     free_queue: u32,
     /// By block.
@@ -84,6 +86,8 @@ pub(super) struct SuspendedRays {
     heap: Vec<u32>,
     /// Blocks on their way in, whose queues are not in the heap.
     loading: Vec<BlockId>,
+    /// Where there is less room, blocks are chosen by how many rays end there.
+    kept_free: u32,
     /// Whether the way through the file turns back at its ends, rather than to begin anew.
     turns_back: bool,
     /// The block that was chosen last, and whether blocks before it in the file come next.
@@ -92,20 +96,29 @@ pub(super) struct SuspendedRays {
 }
 
 impl SuspendedRays {
-    /// Room for `capacity` rays, `block_count` blocks and `loading_max` of them on their way in. `slot_count`: how many blocks are in memory at once.
-    pub fn new(capacity: u32, block_count: usize, loading_max: u32, slot_count: u32) -> SuspendedRays {
+    /// Room for `capacity` rays, blocks whose numbers are below `block_count`, and `loading_max` of them on their way in. `kept_free`: places below which
+    /// room is short. `turns_back`: see [`turns_back`].
+    pub fn new(
+        capacity: u32,
+        block_count: usize,
+        loading_max: u32,
+        kept_free: u32,
+        turns_back: bool,
+    ) -> SuspendedRays {
         SuspendedRays {
             records: Vec::with_capacity(capacity as usize),
             capacity,
             free_record: NONE,
             count: 0,
             peak: 0,
+            any_total: 0,
             queues: Vec::with_capacity(capacity as usize),
             free_queue: NONE,
             queue_of: vec![NONE; block_count],
             heap: Vec::with_capacity(capacity as usize),
             loading: Vec::with_capacity(loading_max as usize),
-            turns_back: slot_count as usize >= block_count / TURNS_BACK,
+            kept_free,
+            turns_back,
             chosen: 0,
             goes_back: false,
         }
@@ -178,6 +191,7 @@ impl SuspendedRays {
         let queue = &mut self.queues[index as usize];
         queue.weight += u64::from(weight);
         queue.any_count += u32::from(!is_closest);
+        self.any_total += u32::from(!is_closest);
         let list = if is_closest { &mut queue.closest } else { &mut queue.any };
         let last = list.last;
         list.last = place.0;
@@ -212,7 +226,9 @@ impl SuspendedRays {
             list.last = NONE;
         }
         queue.weight -= u64::from(record.weight);
-        queue.any_count -= u32::from(matches!(record.query, Query::Any(_)));
+        let any = u32::from(matches!(record.query, Query::Any(_)));
+        queue.any_count -= any;
+        self.any_total -= any;
         if queue.closest.first == NONE && queue.any.first == NONE {
             self.drop_queue(index);
         } else if queue.heap_place != NONE {
@@ -224,6 +240,11 @@ impl SuspendedRays {
     /// What loading `block` is worth to those that wait for it.
     pub fn weight(&self, block: BlockId) -> u64 {
         self.queues.get(self.queue_of[block.0 as usize] as usize).map_or(0, |queue| queue.weight)
+    }
+
+    /// Whether any-hit queries wait for another block than this one.
+    pub fn any_elsewhere(&self, block: BlockId) -> bool {
+        self.any_total > self.any_count(block)
     }
 
     /// How many any-hit queries wait for `block`.
@@ -245,7 +266,7 @@ impl SuspendedRays {
     /// left for a later turn.
     pub fn choose(&mut self) -> Option<BlockId> {
         let heaviest = *self.heap.first()?;
-        let is_short = self.room() < self.capacity / SHORT;
+        let is_short = self.room() < self.kept_free;
         let worth = |queue: &Queue| if is_short { u64::from(queue.any_count) } else { queue.weight };
         let queue = |index: u32| self.queues[index as usize];
         let best = if is_short {
@@ -257,7 +278,7 @@ impl SuspendedRays {
         let last = self.queue_of.len() as u32 - 1;
         let (mut block, mut goes_back) = (self.chosen, self.goes_back);
         // All blocks: once round, or to one end and then to the other.
-        let mut steps = (2 * last + 1).min(STEPS_MAX);
+        let mut steps = last.saturating_mul(2).saturating_add(1).min(STEPS_MAX);
         loop {
             if block == (if goes_back { 0 } else { last }) {
                 if self.turns_back {
@@ -407,7 +428,8 @@ mod tests {
     fn beside_a_twin(turns_back: bool) {
         const CAPACITY: u32 = 50;
         const BLOCKS: u32 = 12;
-        let mut suspended = SuspendedRays::new(CAPACITY, BLOCKS as usize, BLOCKS, u32::from(turns_back));
+        const KEPT_FREE: u32 = 5;
+        let mut suspended = SuspendedRays::new(CAPACITY, BLOCKS as usize, BLOCKS, KEPT_FREE, turns_back);
         // By block: (tag, weight) of closest-hit and any-hit queries.
         let mut twin: HashMap<u32, [VecDeque<(u64, u32)>; 2]> = HashMap::new();
         let mut state = 7u64;
@@ -460,6 +482,8 @@ mod tests {
                 assert_eq!(suspended.is_awaited(BlockId(block)), weight > 0);
                 let any = twin.get(&block).map_or(0, |lists| lists[1].len());
                 assert_eq!(suspended.any_count(BlockId(block)) as usize, any);
+                let all: usize = twin.values().map(|lists| lists[1].len()).sum();
+                assert_eq!(suspended.any_elsewhere(BlockId(block)), all > any);
             }
             let idle = weights.iter().filter(|(block, weight)| **weight > 0 && !loading.contains(*block));
             let idle: BTreeMap<u32, u64> = idle.map(|(block, weight)| (*block, *weight)).collect();
@@ -476,7 +500,7 @@ mod tests {
             }
             way.append(&mut others);
             // What ends counts where there is little room.
-            let is_short = CAPACITY as usize - count < CAPACITY as usize / SHORT as usize;
+            let is_short = CAPACITY as usize - count < KEPT_FREE as usize;
             let worth = |block: &u32| if is_short { twin[block][1].len() as u64 } else { idle[block] };
             let best = idle.keys().map(worth).max().unwrap_or(0);
             short += u32::from(is_short && best > 0);

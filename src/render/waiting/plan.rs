@@ -129,7 +129,7 @@ impl WaitingPlan {
     }
 
     pub fn pool_options(&self, stage: &Stage) -> PoolOptions {
-        // Samples whose rays are answered wait here for room.
+        // The worker shades no more samples at once than have room for their rays.
         PoolOptions { suspended: self.rays, ignore: stage.transparent.clone(), children: 0 }
     }
 
