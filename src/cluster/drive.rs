@@ -30,8 +30,10 @@ use crate::transport::{PeerId, Transport, TransportEvent};
 
 /// How often a driver looks whether it is to stop.
 const LOOK: Duration = Duration::from_millis(50);
-/// How often a node tries to reach a coordinator that is gone.
+/// How often a node tries to reach a coordinator that is gone, or not yet there.
 const RETRY: Duration = Duration::from_millis(500);
+/// The first of these waits, of which each is twice the one before: nodes of one job start together, and a small picture is soon over.
+const RETRY_FIRST: Duration = Duration::from_millis(20);
 /// How often the coordinator makes its checkpoint safe.
 const SAFE: Duration = Duration::from_secs(1);
 
@@ -182,24 +184,26 @@ struct Reconnect<'a> {
     patience: Duration,
     lost: Option<Instant>,
     last_try: Option<Instant>,
+    /// How long after the last try the next one is made.
+    wait: Duration,
 }
 
 impl<'a> Reconnect<'a> {
     fn new(transport: &'a dyn Transport, address: &'a str, patience: Duration) -> Reconnect<'a> {
-        Reconnect { transport, address, patience, lost: None, last_try: None }
+        Reconnect { transport, address, patience, lost: None, last_try: None, wait: RETRY_FIRST }
     }
 
     /// To be called while the coordinator is not connected; a connection if one could be made.
     fn attempt(&mut self) -> Result<Option<PeerId>, NodeError> {
         let lost = *self.lost.get_or_insert_with(Instant::now);
-        if self.last_try.is_some_and(|last| last.elapsed() < RETRY) {
+        if self.last_try.is_some_and(|last| last.elapsed() < self.wait) {
             return Ok(None);
         }
         let result = self.transport.connect(self.address);
         self.last_try = Some(Instant::now());
         match result {
             Ok(peer) => {
-                self.lost = None;
+                (self.lost, self.wait) = (None, RETRY_FIRST);
                 Ok(Some(peer))
             }
             Err(TransportError::Closed) => Err(TransportError::Closed.into()),
@@ -208,7 +212,10 @@ impl<'a> Reconnect<'a> {
                 waited: self.patience,
                 reason: error.to_string(),
             }),
-            Err(_) => Ok(None),
+            Err(_) => {
+                self.wait = (2 * self.wait).min(RETRY);
+                Ok(None)
+            }
         }
     }
 }
