@@ -2,8 +2,8 @@
 //!
 //!     cargo bench --bench contention -- [--n WHEELS] [--side PIXELS] [--repetitions N] [--rounds N]
 //!
-//! Both trace the same rays of the gears, each of the two all of them, at the same time; kind by kind and in turn. Wants both cores of the machine to
-//! itself: the ratios by processor time say what is left of that wish.
+//! Both trace the same rays of the gears, each of the two all of them, at the same time; kind by kind and in turn. Wants both cores
+//! of the machine to itself: the ratios by processor time say what is left of that wish.
 
 #[path = "support/rays.rs"]
 mod rays;

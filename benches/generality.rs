@@ -11,9 +11,9 @@
 //! valgrind --tool=callgrind --toggle-collect='*measured*' PROGRAM --compiled bricks.outcrop small
 //! ```
 //!
-//! `--beyond chrome | glass | rough | smooth` puts a sheet of another kind behind the camera, where no ray comes: it should cost nothing (I6).
-//! `--wheels N` and `--size N` choose the model (gears of 27,456 N^3 triangles, all of one matt material; a file that is there already is
-//! taken as it is) and the picture. All blocks are in memory before anything is measured.
+//! `--beyond chrome | glass | rough | smooth` puts a sheet of another kind behind the camera, where no ray comes: it should cost
+//! nothing (I6). `--wheels N` and `--size N` choose the model (gears of 27,456 N^3 triangles, all of one matt material; a file that
+//! is there already is taken as it is) and the picture. All blocks are in memory before anything is measured.
 
 #[path = "../tests/support/compiled.rs"]
 mod compiled;

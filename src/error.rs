@@ -3,8 +3,8 @@
 //!
 //! What the system said stands in the message and is the error's [`source()`](std::error::Error::source) too.
 //!
-//! One enum per room, so that a caller can match on what it can handle (with an arm for the rest: variants may be added); [`Error`] joins the usual ones for callers
-//! that only report.
+//! One enum per room, so that a caller can match on what it can handle (with an arm for the rest: variants may be added); [`Error`]
+//! joins the usual ones for callers that only report.
 
 use std::io;
 use std::path::PathBuf;

@@ -16,8 +16,8 @@
 //! - Little memory and rays in no order: [`trace::RayPool`].
 //! - Many machines: [`cluster`].
 //!
-//! Of the features, `png` and `gzip` are on by default. `gltf`, `jpeg`, `exr`, `zstd`, `scene-file`, `tcp` and `mpi` each add what the item that
-//! they are for says; nothing else changes.
+//! Of the features, `png` and `gzip` are on by default. `gltf`, `jpeg`, `exr`, `zstd`, `scene-file`, `tcp` and `mpi` each add what
+//! the item that they are for says; nothing else changes.
 //!
 //! # Rooms
 //! A room imports only from rooms above it in this list (`tests/tidy.rs` fails otherwise);

@@ -31,7 +31,8 @@ pub struct TileId(pub u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct WorkerId(pub u64);
 
-/// A sub-coordinator of a cluster: one that hands out a part of the image to workers of its own. One that comes back after it was lost gets a new number.
+/// A sub-coordinator of a cluster: one that hands out a part of the image to workers of its own. One that comes back after it was
+/// lost gets a new number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SubCoordinatorId(pub u64);
 

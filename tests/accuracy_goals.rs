@@ -139,8 +139,8 @@ fn error_goals_are_met_and_certificates_hold() {
     assert_eq!(budget.used(), used, "everything reserved is given back");
 }
 
-/// A goal that two samples of each pixel keep gets two, and four if it takes these; nothing stops early, and so nothing is checked. In FLIP single samples may do,
-/// and a few more; as one alone says nothing of its error, a check does.
+/// A goal that two samples of each pixel keep gets two, and four if it takes these; nothing stops early, and so nothing is checked.
+/// In FLIP single samples may do, and a few more; as one alone says nothing of its error, a check does.
 #[test]
 fn easy_goals_get_few_samples() {
     let (source, scene) = still_life();

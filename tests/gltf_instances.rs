@@ -31,7 +31,8 @@ struct Sample {
 }
 
 impl Sample {
-    /// A floor (mesh 0) and a ball of a glass and a brick half (mesh 1), which `places` lists as nodes. Its positions are multiples of `2^-10`.
+    /// A floor (mesh 0) and a ball of a glass and a brick half (mesh 1), which `places` lists as nodes. Its positions are multiples
+    /// of `2^-10`.
     fn new(places: &[Value], with_normals: bool) -> Sample {
         let mut sample = Sample {
             document: json!({

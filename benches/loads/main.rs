@@ -4,11 +4,13 @@
 //!     cargo bench --bench loads -- [MODEL] [--side N] [--pool N] [--weight N] [--by-depth] [--percent N,...] [--mix N] [--only-pool]
 //!         [--camera-loads] [--shadows-load] [--threads N] [--in-flight N] [--slow] [--quick] [--times N] [--policies]
 //!
-//! MODEL: `gearsN` or `toriN` (made here) or a model or compiled file. Answers of all runs are compared. Blocks are read past the page cache.
+//! MODEL: `gearsN` or `toriN` (made here) or a model or compiled file. Answers of all runs are compared. Blocks are read past the
+//! page cache.
 //!
-//! `--threads`: that many threads load for the pool, instead of the one that traces. `--slow`: each read takes 5 ms more, and
-//! all share 40 MB/s. `--quick`: the trees of blocks are made in less time. `--times`: instead of counts, times with a slot for each block and with each percentage, as many times in turn, and their
-//! medians. `--policies`: a table of loads by replacement policy, and the fewest that any could have with the pool's own order of visits.
+//! `--threads`: that many threads load for the pool, instead of the one that traces. `--slow`: each read takes 5 ms more, and all
+//! share 40 MB/s. `--quick`: the trees of blocks are made in less time. `--times`: instead of counts, times with a slot for each
+//! block and with each percentage, as many times in turn, and their medians. `--policies`: a table of loads by replacement policy,
+//! and the fewest that any could have with the pool's own order of visits.
 
 mod drive;
 mod mixes;

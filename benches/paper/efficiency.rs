@@ -1,6 +1,6 @@
-//! Tables 4 and 5: the efficiency of the tile policies, and the big model on six workers. Both simulated: the real scheduler over costs
-//! that are counted here, on machines and a network as in [`ClusterModel`]'s defaults (`docs/results/cluster-simulation.md`). So the figures are
-//! the same on every machine.
+//! Tables 4 and 5: the efficiency of the tile policies, and the big model on six workers. Both simulated: the real scheduler over
+//! costs that are counted here, on machines and a network as in [`ClusterModel`]'s defaults (`docs/results/cluster-simulation.md`).
+//! So the figures are the same on every machine.
 
 use std::error::Error;
 

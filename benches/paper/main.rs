@@ -4,10 +4,10 @@
 //!     cargo bench --bench paper -- [--table N,...] [--n WHEELS] [--size PIXELS] [--gears N] [--copies N] [--memory FILE.csv]
 //!         [--largest N] [--huge] [--plot FILE.svg]
 //!
-//! Tables 1 to 5, `6`: the paper's two experiments with its cache, and `7`: cost against size. Small by default: `--gears 8` (Table 2 up
-//! to 14 M triangles) and `--copies 9` (Tables 3 and 5 with 83.7 M) are the paper's sizes; `--largest 16` takes cost against size to 112
-//! million triangles and `--huge` to a thousand million, `--plot` draws it. `--memory` writes Figure 4, memory while Table 3 renders, and a plot beside
-//! it. What is measured and what is simulated stands above each table.
+//! Tables 1 to 5, `6`: the paper's two experiments with its cache, and `7`: cost against size. Small by default: `--gears 8` (Table
+//! 2 up to 14 M triangles) and `--copies 9` (Tables 3 and 5 with 83.7 M) are the paper's sizes; `--largest 16` takes cost against
+//! size to 112 million triangles and `--huge` to a thousand million, `--plot` draws it. `--memory` writes Figure 4, memory while
+//! Table 3 renders, and a plot beside it. What is measured and what is simulated stands above each table.
 
 mod big;
 mod cache;

@@ -1,5 +1,5 @@
-//! What a cluster costs on this machine: `transports` measures the latency and bandwidth of each transport beside the disk's; `pair` compares two
-//! real workers with two independent processes.
+//! What a cluster costs on this machine: `transports` measures the latency and bandwidth of each transport beside the disk's;
+//! `pair` compares two real workers with two independent processes.
 
 #[macro_use]
 #[path = "../common/mod.rs"]

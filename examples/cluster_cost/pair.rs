@@ -1,8 +1,8 @@
-//! Two real workers beside two processes that know nothing of each other and render half of the picture each: every second tile, so that the
-//! halves cost about the same.
+//! Two real workers beside two processes that know nothing of each other and render half of the picture each: every second tile, so
+//! that the halves cost about the same.
 //!
-//! The time of the independent processes is their mean, from the moment when their model file is open: as if their work were shared out perfectly. That
-//! of the cluster is from the same moment of the first worker, when it joins, to the coordinator's last pixel.
+//! The time of the independent processes is their mean, from the moment when their model file is open: as if their work were shared
+//! out perfectly. That of the cluster is from the same moment of the first worker, when it joins, to the coordinator's last pixel.
 
 use std::error::Error;
 use std::fs;

@@ -1,8 +1,8 @@
 //! Latency and bandwidth of each transport by message size, beside the disk's.
 //!
-//! One node asks, as a worker asks a reader for a block, and the other answers with so many bytes. *Latency* is the median time from the question to
-//! the whole answer, one at a time; *bandwidth* is that of answers with eight questions on their way (two for a megabyte). Every answer is compared with what it has
-//! to be.
+//! One node asks, as a worker asks a reader for a block, and the other answers with so many bytes. *Latency* is the median time
+//! from the question to the whole answer, one at a time; *bandwidth* is that of answers with eight questions on their way (two for
+//! a megabyte). Every answer is compared with what it has to be.
 
 use std::error::Error;
 use std::sync::Arc;

@@ -161,8 +161,8 @@ pub fn added(
     })
 }
 
-/// What each effect costs where it is forced on bricks in direct light, and all of them together. Lights and shadows, which these do call for, on bricks in
-/// ambient light.
+/// What each effect costs where it is forced on bricks in direct light, and all of them together. Lights and shadows, which these
+/// do call for, on bricks in ambient light.
 pub fn forced(budget: &MemoryBudget) -> Result<Vec<Comparison>, Box<dyn Error>> {
     let entry = scenes::bricks()?;
     let subject = Subject::new(&entry.mesh, budget)?;

@@ -1,5 +1,5 @@
-//! Any bytes as a picture: of the surroundings (Radiance, OpenEXR) or of a texture (PNG, JPEG, either also as base64 text in a document). The first byte
-//! says as which.
+//! Any bytes as a picture: of the surroundings (Radiance, OpenEXR) or of a texture (PNG, JPEG, either also as base64 text in a
+//! document). The first byte says as which.
 #![no_main]
 
 use std::fs;

@@ -1,5 +1,5 @@
-//! Any bytes behind the header of a working file that was made for the model; checksums are made right where the input asks for it. What opens
-//! is traced, cut and finished: whatever comes of it must be an error or an end.
+//! Any bytes behind the header of a working file that was made for the model; checksums are made right where the input asks for it.
+//! What opens is traced, cut and finished: whatever comes of it must be an error or an end.
 #![no_main]
 
 use std::fs;

@@ -24,12 +24,12 @@ impl ReplayCounts {
 
 /// Runs `trace` through a cache of `slot_count` slots with a policy of this library.
 ///
-/// `pins` is how many blocks each stream keeps pinned, as a tracer does: found by the low bits of their number, so rounded
-/// down to a power of two, and left out where they would leave no slot free. Entering a block that the stream has pinned is no event for the
-/// policy. With 0 the policy sees every entry.
+/// `pins` is how many blocks each stream keeps pinned, as a tracer does: found by the low bits of their number, so rounded down to
+/// a power of two, and left out where they would leave no slot free. Entering a block that the stream has pinned is no event for
+/// the policy. With 0 the policy sees every entry.
 ///
-/// Accesses are taken in the order of the file, one at a time, so a replay of a trace of one tracer with the pins of that tracer gives exactly the
-/// loads of the run; with several, loads that coincide in a run come one after the other here.
+/// Accesses are taken in the order of the file, one at a time, so a replay of a trace of one tracer with the pins of that tracer
+/// gives exactly the loads of the run; with several, loads that coincide in a run come one after the other here.
 pub fn replay(trace: &AccessTrace, policy: Policy, slot_count: u32, pins: u32) -> ReplayCounts {
     policy.with(With { trace, slot_count, pins })
 }

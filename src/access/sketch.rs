@@ -7,9 +7,9 @@ use crate::units::BlockId;
 /// Bits of a sketch.
 const BITS: u64 = 512;
 
-/// A set of blocks in 64 bytes: the model's blocks, in the order of their numbers, fall into 512 runs of equal length, and a run is in the set
-/// if one of its blocks is. Blocks that are near each other in number are near each other in space, so what two sketches have in common
-/// tells of common blocks and of common neighbourhoods. Of a model of up to 512 blocks it is exact.
+/// A set of blocks in 64 bytes: the model's blocks, in the order of their numbers, fall into 512 runs of equal length, and a run is
+/// in the set if one of its blocks is. Blocks that are near each other in number are near each other in space, so what two sketches
+/// have in common tells of common blocks and of common neighbourhoods. Of a model of up to 512 blocks it is exact.
 ///
 /// Only good for guesses: nothing that shows may depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -23,7 +23,8 @@ impl BlockSketch {
         self.add_scaled(block, BlockSketch::scale(block_count));
     }
 
-    /// What [`BlockSketch::add_scaled`] needs to know of a model: runs for each block, times 2^32, so that no entry of a block has to divide.
+    /// What [`BlockSketch::add_scaled`] needs to know of a model: runs for each block, times 2^32, so that no entry of a block has
+    /// to divide.
     pub(crate) fn scale(block_count: u32) -> u64 {
         (BITS << 32) / u64::from(block_count.max(1))
     }

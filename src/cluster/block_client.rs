@@ -555,7 +555,8 @@ impl BlockClient {
 
     /// Nobody gave it.
     fn end_round(&mut self, block: u32, now: Duration) {
-        // Damaged on this disk: a reader that comes back may still give it. If none does, whoever decodes the block says what is wrong with it.
+        // Damaged on this disk: a reader that comes back may still give it. If none does, whoever decodes the block says what is
+        // wrong with it.
         let nobody_comes = self.own == OwnFile::Last && self.links.is_empty();
         let stage = if nobody_comes || self.is_hopeless(block, now) {
             Stage::GivenUp

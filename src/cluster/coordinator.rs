@@ -95,8 +95,8 @@ struct Lane {
 
 /// The state machine of a coordinator: events in, actions out.
 ///
-/// It trusts nobody who has not said hello, and what members say only as far as it fits: a result of cells that the picture does not have, or
-/// with a wrong number of pixels, ends the connection. Results count once, whoever sends them, however late.
+/// It trusts nobody who has not said hello, and what members say only as far as it fits: a result of cells that the picture does
+/// not have, or with a wrong number of pixels, ends the connection. Results count once, whoever sends them, however late.
 pub struct Coordinator {
     job: Job,
     /// The message that gives it to workers.

@@ -37,8 +37,8 @@ const RETRY_FIRST: Duration = Duration::from_millis(20);
 /// How often the coordinator makes its checkpoint safe.
 const SAFE: Duration = Duration::from_secs(1);
 
-/// How long squares of pixels should take whose rays wait: the more samples are on their way, the more share a load. Not so long that results
-/// come late.
+/// How long squares of pixels should take whose rays wait: the more samples are on their way, the more share a load. Not so long
+/// that results come late.
 const WAITING_SQUARE_TIME: Duration = Duration::from_secs(1);
 
 /// A node ended before its work was done.
@@ -275,8 +275,8 @@ pub struct WorkerOptions {
     pub lanes: u16,
     /// The compiled model, if this node has it. Readers are asked first where there are any.
     pub file: Option<Arc<dyn BlockSource>>,
-    /// If it does not have the model: where it makes itself a copy of the file, from the readers, while it renders. Its blocks come from there
-    /// once the copy is complete. Without room for one it does without.
+    /// If it does not have the model: where it makes itself a copy of the file, from the readers, while it renders. Its blocks come
+    /// from there once the copy is complete. Without room for one it does without.
     pub copy: Option<CopyOptions>,
     /// All memory of the worker.
     pub budget: MemoryBudget,
@@ -310,8 +310,8 @@ pub struct WorkerReport {
     pub copy: Option<CopyCounters>,
 }
 
-/// Runs a worker until the picture is done or `stop` is set. `control` leads to the coordinator at `address`; `data` is used for readers and
-/// nothing else.
+/// Runs a worker until the picture is done or `stop` is set. `control` leads to the coordinator at `address`; `data` is used for
+/// readers and nothing else.
 ///
 /// # Errors
 /// [`NodeError`].

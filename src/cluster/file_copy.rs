@@ -1,9 +1,9 @@
 //! A node's own copy of the compiled file, brought over the network while it renders.
 //!
 //! Blocks come in the order of the file, a few at a time, and are written only when they match their checksums in the directory; so
-//! what lies on disk is always the beginning of the file, and a later attempt goes on after the last block that is still
-//! sound. Directory and materials come after the blocks and the header comes last, as a compile writes it; then the whole is opened and checked
-//! under a name of its own, and gets its real name only when nothing is wrong.
+//! what lies on disk is always the beginning of the file, and a later attempt goes on after the last block that is still sound.
+//! Directory and materials come after the blocks and the header comes last, as a compile writes it; then the whole is opened and
+//! checked under a name of its own, and gets its real name only when nothing is wrong.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
@@ -152,8 +152,9 @@ impl FileCopy {
         }
     }
 
-    /// Makes the copy from the nodes that `nodes` names, which is asked again before each attempt, and opens it. Nodes that fail are
-    /// tried again for as long as it takes; `None` if `stop` was set before the copy was complete. What there is then is kept for the next time.
+    /// Makes the copy from the nodes that `nodes` names, which is asked again before each attempt, and opens it. Nodes that fail
+    /// are tried again for as long as it takes; `None` if `stop` was set before the copy was complete. What there is then is kept
+    /// for the next time.
     ///
     /// # Errors
     /// [`CopyError`].

@@ -140,8 +140,8 @@ pub enum Message {
     Block {
         /// Which.
         block: u32,
-        /// Whom to ask for it the next time, counted on from the first of [`readers_of`](super::readers_of) and round: above 0 for a block that
-        /// very many ask for, so that the other readers come to hold it, too.
+        /// Whom to ask for it the next time, counted on from the first of [`readers_of`](super::readers_of) and round: above 0 for
+        /// a block that very many ask for, so that the other readers come to hold it, too.
         turn: u8,
     },
     /// Reader to worker: it cannot give a block.

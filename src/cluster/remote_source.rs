@@ -25,9 +25,9 @@ struct State {
 
 /// A [`BlockSource`] whose blocks come from readers.
 ///
-/// It drives a [`BlockClient`], which decides whom to ask for a block and what to do about an answer. Any number of requests may be on their way
-/// at one time: each thread that needs a block sends its request at once, and one of those that wait receives for
-/// all. [`RemoteSource::will_need`] asks for many blocks with one message each reader. There are no threads behind it.
+/// It drives a [`BlockClient`], which decides whom to ask for a block and what to do about an answer. Any number of requests may be
+/// on their way at one time: each thread that needs a block sends its request at once, and one of those that wait receives for all.
+/// [`RemoteSource::will_need`] asks for many blocks with one message each reader. There are no threads behind it.
 pub struct RemoteSource {
     transport: Arc<dyn Transport>,
     model: Arc<Model>,

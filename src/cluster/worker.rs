@@ -60,7 +60,8 @@ pub enum WorkerAction {
     },
 }
 
-/// The squares that are rendered at once should take about so long, if nobody says otherwise: short enough for a notice to be heard in between.
+/// The squares that are rendered at once should take about so long, if nobody says otherwise: short enough for a notice to be heard
+/// in between.
 const SQUARE_TIME: Duration = Duration::from_millis(100);
 
 /// A result is sent when its lease is done, or after so long.
@@ -119,7 +120,8 @@ pub struct Worker {
     options: RoleOptions,
     square_time: Duration,
     coordinator: Option<PeerId>,
-    /// Whether the coordinator has said that its job is the one that is open here. Before, it gets no results: they might be another picture's.
+    /// Whether the coordinator has said that its job is the one that is open here. Before, it gets no results: they might be
+    /// another picture's.
     is_confirmed: bool,
     last_heard: Duration,
     last_told: Duration,
@@ -160,8 +162,8 @@ impl Worker {
         }
     }
 
-    /// The same, whose squares of pixels take about so long each instead of a tenth of a second. What it is told while a lane renders one is heard
-    /// after that.
+    /// The same, whose squares of pixels take about so long each instead of a tenth of a second. What it is told while a lane
+    /// renders one is heard after that.
     #[must_use]
     pub fn with_square_time(self, square_time: Duration) -> Worker {
         Worker { square_time, ..self }

@@ -250,7 +250,8 @@ struct Duplicates {
     sorted: Vec<[u16; 3]>,
 }
 
-/// Steps along lists for each triangle of a block, on average, beyond which its triangles are sorted instead: many share their greatest vertex then.
+/// Steps along lists for each triangle of a block, on average, beyond which its triangles are sorted instead: many share their
+/// greatest vertex then.
 const STEPS_MAX: usize = 8;
 
 /// More than any block has.

@@ -27,8 +27,9 @@ pub(super) struct Bucket<P> {
     bytes: Vec<u8>,
 }
 
-/// Where the search for a vertex of this hash begins in a table of `2^length_bits` places: its first bits, which depend on all bits of its coordinates. The last
-/// ones do not depend on those of whole numbers and of steps of an eighth, whose bits as floats end with zeros.
+/// Where the search for a vertex of this hash begins in a table of `2^length_bits` places: its first bits, which depend on all bits
+/// of its coordinates. The last ones do not depend on those of whole numbers and of steps of an eighth, whose bits as floats end
+/// with zeros.
 #[inline(always)]
 fn home(hash: u64, length_bits: u32) -> u32 {
     // In two steps, for tables of one place.

@@ -413,8 +413,8 @@ impl<'p> Compiler<'p> {
         // Two triangles per vertex, if it is not known yet how many there are.
         let expected = self.triangles.max(2 * self.store.len() as u64);
         let share = self.budget.limit().0 / 12;
-        // Vertices that are not all in memory do with little of it if faces are in any order. Where buckets are many and their buffers small, the
-        // list of chunks would not find room otherwise.
+        // Vertices that are not all in memory do with little of it if faces are in any order. Where buckets are many and their
+        // buffers small, the list of chunks would not find room otherwise.
         let [buffers, list] = scatter::bytes_needed(&map, share, expected);
         let needed_now = (buffers + list + SPILL_BUFFERS).min(self.budget.limit().0 / 2);
         self.store.leave(needed_now);

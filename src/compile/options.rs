@@ -22,7 +22,8 @@ pub struct CompileOptions {
     pub threads: Threads,
     /// Leave triangles with a NaN or infinite coordinate out (and count them) instead of failing.
     pub skip_not_finite: bool,
-    /// Keep texture coordinates and normals if the model has them. A lazy compile leaves them out ([`LazyReport::details_left_out`](super::LazyReport::details_left_out)).
+    /// Keep texture coordinates and normals if the model has them. A lazy compile leaves them out
+    /// ([`LazyReport::details_left_out`](super::LazyReport::details_left_out)).
     pub attributes: bool,
     /// Where temporary data goes that does not fit the budget; `None` for the output's own directory.
     pub spill_dir: Option<PathBuf>,

@@ -104,8 +104,8 @@ impl<T: Pod> Pages<T> {
         }
     }
 
-    /// Gives back as much memory as is missing for `headroom` bytes of the budget to be free, in whole areas. Only once there is a spill, and not the least
-    /// that works.
+    /// Gives back as much memory as is missing for `headroom` bytes of the budget to be free, in whole areas. Only once there is a
+    /// spill, and not the least that works.
     pub(super) fn leave(&mut self, headroom: u64) {
         let missing = headroom.saturating_sub(self.place.budget.available().0);
         if missing == 0 || self.spill.is_none() {

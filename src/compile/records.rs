@@ -1,5 +1,5 @@
-//! Where chunks are: a list that is counted in the budget as far as that has room (I1). There is one record for some hundred triangles, so that the list of a
-//! billion triangles takes more than a hundred megabytes.
+//! Where chunks are: a list that is counted in the budget as far as that has room (I1). There is one record for some hundred
+//! triangles, so that the list of a billion triangles takes more than a hundred megabytes.
 
 use std::ops::{Deref, DerefMut};
 

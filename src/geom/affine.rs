@@ -105,8 +105,8 @@ impl Affine {
             + a[2] * (b[0] * c[1] - b[1] * c[0])
     }
 
-    /// The map between this one and `end`, at `time` from 0 to 1: every point moves on a straight line from where this map takes it to where
-    /// `end` does.
+    /// The map between this one and `end`, at `time` from 0 to 1: every point moves on a straight line from where this map takes it
+    /// to where `end` does.
     pub(super) fn straight_to(&self, end: &Affine, time: f64) -> Affine {
         let mut map = *self;
         for (row, end) in map.rows.iter_mut().zip(end.rows) {
@@ -147,8 +147,8 @@ impl Affine {
         self.rows
     }
 
-    /// Where a point goes: `((m0 x + m1 y) + m2 z) + c` per axis, rounded after each operation, and to a multiple of `2^-252`. A pure function of map and
-    /// point (I2): this is where the vertices of an instance are.
+    /// Where a point goes: `((m0 x + m1 y) + m2 z) + c` per axis, rounded after each operation, and to a multiple of `2^-252`. A
+    /// pure function of map and point (I2): this is where the vertices of an instance are.
     #[inline(always)]
     pub fn point(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let [first, second, third] = self.rows;

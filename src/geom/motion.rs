@@ -27,9 +27,10 @@ impl Motion {
     /// How far the numbers of a rotation may be from one.
     const RIGID: f64 = 1e-9;
 
-    /// From `start` to `end`. If all that is between them is that a body turns and moves, then what the origin goes to moves on a straight line, and the body turns
-    /// evenly about it, the shorter way, by 170 degrees at most (M. Pharr, W. Jakob and G. Humphreys, "Physically Based Rendering", section 2.9,
-    /// "Animating Transformations"). In all other cases every point moves on a straight line.
+    /// From `start` to `end`. If all that is between them is that a body turns and moves, then what the origin goes to moves on a
+    /// straight line, and the body turns evenly about it, the shorter way, by 170 degrees at most (M. Pharr, W. Jakob and G.
+    /// Humphreys, "Physically Based Rendering", section 2.9, "Animating Transformations"). In all other cases every point moves on
+    /// a straight line.
     pub fn new(start: &Affine, end: &Affine) -> Motion {
         Motion { start: *start, end: *end, turn: Turn::between(start, end) }
     }
@@ -52,15 +53,17 @@ impl Motion {
         self.turn.is_some() || self.start.stays_upright(&self.end)
     }
 
-    /// Into how many equal parts the way is to be cut so that a point of one strays little from the straight line between the ends of its part.
+    /// Into how many equal parts the way is to be cut so that a point of one strays little from the straight line between the ends
+    /// of its part.
     pub fn part_count(&self) -> u32 {
         const PART_RADIANS: f64 = 0.125;
         // At most 24.
         self.turn.map_or(1, |turn| (turn.radians / PART_RADIANS).ceil().max(1.0) as u32)
     }
 
-    /// Twice as far as any point strays from the straight line between the ends of its part of the way, rounding apart, if it is at most `radius` from the origin
-    /// when all is turned about it: for a curve whose second derivative is at most `radius radians^2` it is an eighth of that in a unit of time.
+    /// Twice as far as any point strays from the straight line between the ends of its part of the way, rounding apart, if it is at
+    /// most `radius` from the origin when all is turned about it: for a curve whose second derivative is at most `radius radians^2`
+    /// it is an eighth of that in a unit of time.
     pub fn stray(&self, radius: f64) -> f64 {
         self.turn.map_or(0.0, |turn| {
             let part = turn.radians / f64::from(self.part_count());
@@ -70,8 +73,9 @@ impl Motion {
 }
 
 impl Affine {
-    /// The map between this one and `end`, at `time` from 0 to 1. Where one becomes the other by moving and turning alone (by 170 degrees at most, the shorter way),
-    /// the body does that evenly, about what the origin goes to, and keeps its shape; otherwise every point moves on a straight line. The same on every machine (I2).
+    /// The map between this one and `end`, at `time` from 0 to 1. Where one becomes the other by moving and turning alone (by 170
+    /// degrees at most, the shorter way), the body does that evenly, about what the origin goes to, and keeps its shape; otherwise
+    /// every point moves on a straight line. The same on every machine (I2).
     #[must_use]
     pub fn between(&self, end: &Affine, time: f64) -> Affine {
         Motion::new(self, end).at(time)

@@ -11,7 +11,8 @@ const SHORT_PLACES_MAX: i64 = 44;
 /// Places after the point that hold any f32: it is a multiple of 2^-149.
 const FLOAT32_PLACES: usize = 149;
 
-/// Whether f32 keeps every digit of `token`, which [`number::parse`](super::number::parse) reads as `value`. Infinities and NaN in words are kept.
+/// Whether f32 keeps every digit of `token`, which [`number::parse`](super::number::parse) reads as `value`. Infinities and NaN in
+/// words are kept.
 pub(super) fn is_kept_by_float32(token: &[u8], value: f64) -> bool {
     // The f32 nearest to the value is also the nearest to the text: `number` sees to that.
     Decimal::of(token).is_none_or(|decimal| decimal.is_kept_by((value as f32).abs()))

@@ -1,9 +1,9 @@
 //! Streamed readers for model formats: OBJ and MTL, PLY, STL, each also gzipped, and glTF (feature `gltf`). Never the whole mesh in memory.
 //!
-//! A reader holds a window of 1 MiB on the file and batches of 32,768 vertices and triangles: about 4 MiB, whatever
-//! the size of the model (I1). Polygons of many corners take up to 90 bytes for each ([`CORNERS_MAX`] of them at most:
-//! 6 MiB), the names of material libraries up to 8 MiB, and OBJ text parsed by other threads up to about 8 MiB. Files are untrusted (I5): no count in a file chooses an
-//! allocation, and what cannot be read is a typed error that names the line or the byte.
+//! A reader holds a window of 1 MiB on the file and batches of 32,768 vertices and triangles: about 4 MiB, whatever the size of the
+//! model (I1). Polygons of many corners take up to 90 bytes for each ([`CORNERS_MAX`] of them at most: 6 MiB), the names of
+//! material libraries up to 8 MiB, and OBJ text parsed by other threads up to about 8 MiB. Files are untrusted (I5): no count in a
+//! file chooses an allocation, and what cannot be read is a typed error that names the line or the byte.
 //!
 //! [`import_file`] chooses the reader by the extension; [`read_obj`], [`read_ply`] and [`read_stl`] take any stream;
 //! [`TriangleSink`] takes triangles that never were a file. All send what they read to a [`MeshSink`]:

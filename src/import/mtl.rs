@@ -262,8 +262,8 @@ fn parse(statements: &[Statement]) -> Option<tobj::Material> {
     tobj::load_mtl_buf(&mut text.as_bytes()).ok()?.0.pop()
 }
 
-/// The record of a material with these pictures, and what had to be changed about it. A picture of what no statement says stands alone, times 1: also where
-/// a model has no texture coordinates to find it by, and the number is all there is.
+/// The record of a material with these pictures, and what had to be changed about it. A picture of what no statement says stands
+/// alone, times 1: also where a model has no texture coordinates to find it by, and the number is all there is.
 fn record(name: String, material: tobj::Material, images: &MaterialImages) -> (MaterialRecord, Vec<String>) {
     let mut reasons = Vec::new();
     let mut value = |keyword: &str, given: Option<f32>, default: f32, range: [f32; 2]| match given {

@@ -49,8 +49,8 @@ impl<'a> TriangleSink<'a> {
         TriangleSink { feed: Feed::new(sink) }
     }
 
-    /// Appends a triangle: `[[f32; 3]; 3]` or `[[f64; 3]; 3]`. `material` is an id that the mesh sink gave before; `None` stands for the default material,
-    /// which is added when it is first used.
+    /// Appends a triangle: `[[f32; 3]; 3]` or `[[f64; 3]; 3]`. `material` is an id that the mesh sink gave before; `None` stands
+    /// for the default material, which is added when it is first used.
     ///
     /// # Errors
     /// More than 1,431,655,765 triangles ([`CompileError::Limit`]: vertex indices have 32 bits), or an error of the

@@ -14,8 +14,9 @@ use crate::import::{GltfMesh, GltfPart, gltf_meshes};
 /// of the scene is one more, written out as [`import_file`](crate::import::import_file) does. Compile each with
 /// [`compile_file_with`](crate::compile::compile_file_with), and give them to [`Instances::open`] in this order.
 ///
-/// Vertices of a shared mesh are those of the file, moved in f64 where rays meet them. In a scene that is written out they are moved and then
-/// rounded to the compiled file's precision: up to that the two are the same, and to the bit where nothing is rounded.
+/// Vertices of a shared mesh are those of the file, moved in f64 where rays meet them. In a scene that is written out they are
+/// moved and then rounded to the compiled file's precision: up to that the two are the same, and to the bit where nothing is
+/// rounded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GltfInstances {
     /// What to compile, by the number of the model.

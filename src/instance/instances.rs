@@ -56,8 +56,8 @@ impl InstanceTriangle {
 
 /// Instances of models. Shared by all threads; each makes its own [`InstanceTracer`](super::InstanceTracer).
 ///
-/// The models of a scene share one memory budget, each with a cache of its own. Materials are numbered through: those of the first model, then
-/// those of the second, and so on.
+/// The models of a scene share one memory budget, each with a cache of its own. Materials are numbered through: those of the first
+/// model, then those of the second, and so on.
 pub struct Instances {
     octrees: Vec<LazyOctree>,
     /// Per model: the number of its first material.
@@ -77,8 +77,8 @@ impl Instances {
     /// Most instances.
     pub const COUNT_MAX: usize = 1 << 24;
 
-    /// Opens models and places instances of them. What the budget has left goes to the models' caches in proportion to their blocks; `options` holds
-    /// for each model (hits are always those of [`Tier::Certified`](crate::octree::Tier::Certified)).
+    /// Opens models and places instances of them. What the budget has left goes to the models' caches in proportion to their
+    /// blocks; `options` holds for each model (hits are always those of [`Tier::Certified`](crate::octree::Tier::Certified)).
     ///
     /// # Errors
     /// [`InstanceError::Model`] if a model does not fit in its share of the budget; otherwise as for [`Instances::over`].
@@ -114,7 +114,8 @@ impl Instances {
     ///
     /// # Errors
     /// [`InstanceError::Instance`] if an instance names no model, or its map is not finite, flat or too large;
-    /// [`InstanceError::TooMany`] for more instances or materials than can be numbered; [`InstanceError::Budget`] if what is known of them does not fit.
+    /// [`InstanceError::TooMany`] for more instances or materials than can be numbered; [`InstanceError::Budget`] if what is known
+    /// of them does not fit.
     pub fn over(
         octrees: Vec<LazyOctree>,
         instances: Vec<Instance>,
@@ -182,13 +183,13 @@ impl Instances {
         Ok(())
     }
 
-    /// Lets instances move while the shutter is open, from where they were placed to the map that stands beside the instance's number, as [`Affine::between`] says: bodies
-    /// that only move and turn keep their shape; where the shape changes, every vertex moves on a straight line. Those not named rest; so do all after the next
-    /// [`Instances::place`].
+    /// Lets instances move while the shutter is open, from where they were placed to the map that stands beside the instance's
+    /// number, as [`Affine::between`] says: bodies that only move and turn keep their shape; where the shape changes, every vertex
+    /// moves on a straight line. Those not named rest; so do all after the next [`Instances::place`].
     ///
     /// # Errors
-    /// [`InstanceError::Instance`] if there is no such instance, or it would turn too far (170 degrees; about 100 where its shape changes too) or become flat on
-    /// its way.
+    /// [`InstanceError::Instance`] if there is no such instance, or it would turn too far (170 degrees; about 100 where its shape
+    /// changes too) or become flat on its way.
     pub fn move_while_open(&mut self, ends: &[(usize, Affine)]) -> Result<(), InstanceError> {
         let mut motions = vec![None; self.instances.len()];
         let mut boxes: Vec<Aabb> = self.placed.iter().map(|placed| placed.bounds).collect();

@@ -1,8 +1,9 @@
 //! A ray of the world in the space of an instance's model, with all that it may be off.
 //!
 //! Only boxes and reject tests see it. Its errors are in where it begins: for every `t` at which the ray of the world meets a
-//! triangle of the instance, the point at `t` of a ray from within [`MovedRay::origin_error`] of the start, in the very direction that is used here,
-//! lies on the model's triangle (`docs/numerics.md`, "Instances"). That is what the kernels of `simd` take an origin's error for.
+//! triangle of the instance, the point at `t` of a ray from within [`MovedRay::origin_error`] of the start, in the very direction
+//! that is used here, lies on the model's triangle (`docs/numerics.md`, "Instances"). That is what the kernels of `simd` take an
+//! origin's error for.
 
 use super::placed::{Placed, SLACK};
 use crate::geom::{RayFrame, gamma};

@@ -105,8 +105,8 @@ impl Placed {
                 radius = radius.max(turned.iter().sum());
             }
         }
-        // Numbers of maps in between are off by two roundings of the numbers at the ends; where it turns by those of a rotation and of its product with
-        // the first map, of which each row adds up to no more than the radius.
+        // Numbers of maps in between are off by two roundings of the numbers at the ends; where it turns by those of a rotation and
+        // of its product with the first map, of which each row adds up to no more than the radius.
         let stray = motion.stray(radius * SLACK);
         let turned = if stray > 0.0 { radius } else { 0.0 };
         for (axis, largest) in largest.into_iter().enumerate() {

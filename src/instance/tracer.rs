@@ -14,8 +14,9 @@ use crate::units::TriangleId;
 
 /// Answers queries over instances on one thread, with memory of its own.
 ///
-/// Hits are as in a model in which each instance is written out, every vertex moved by [`Affine::point`](crate::geom::Affine::point), and are numbered as
-/// [`InstanceTriangle`](super::InstanceTriangle) says; their vertices are in the world.
+/// Hits are as in a model in which each instance is written out, every vertex moved by
+/// [`Affine::point`](crate::geom::Affine::point), and are numbered as [`InstanceTriangle`](super::InstanceTriangle) says; their
+/// vertices are in the world.
 pub struct InstanceTracer<'o> {
     instances: &'o Instances,
     /// One for each model.
@@ -44,8 +45,8 @@ impl Instances {
 }
 
 impl InstanceTracer<'_> {
-    /// Sets when the rays of the next call are traced, one time each: from 0, when the shutter opens, which holds for rays without a time, to 1. See
-    /// [`Instances::move_while_open`].
+    /// Sets when the rays of the next call are traced, one time each: from 0, when the shutter opens, which holds for rays without
+    /// a time, to 1. See [`Instances::move_while_open`].
     pub fn at_times(&mut self, times: impl IntoIterator<Item = f64>) {
         self.times.clear();
         self.times.extend(times);
@@ -72,8 +73,9 @@ impl InstanceTracer<'_> {
         Ok(hit[0])
     }
 
-    /// Gives every hit of each ray to `visit`, with the ray's index: the rays in their order, the hits of each by (t, triangle number), as
-    /// [`Tracer::all_hits`] does for one model. Each hit is a query for the next one behind the last: memory does not depend on the number of hits, time does.
+    /// Gives every hit of each ray to `visit`, with the ray's index: the rays in their order, the hits of each by (t, triangle
+    /// number), as [`Tracer::all_hits`] does for one model. Each hit is a query for the next one behind the last: memory does not
+    /// depend on the number of hits, time does.
     ///
     /// `visit` may end a ray with `Break`; the next ray follows.
     ///
@@ -107,8 +109,8 @@ impl InstanceTracer<'_> {
         Ok(())
     }
 
-    /// Finds for each ray the least hit by (t, triangle number) that is strictly greater than the ray's pair in `after`, or the least of all if `after`
-    /// is empty. A NaN `t` in `after` admits every hit.
+    /// Finds for each ray the least hit by (t, triangle number) that is strictly greater than the ray's pair in `after`, or the
+    /// least of all if `after` is empty. A NaN `t` in `after` admits every hit.
     ///
     /// # Errors
     /// As for [`Tracer::closest_hits`].

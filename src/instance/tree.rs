@@ -78,8 +78,8 @@ impl Tree {
         self.root.map_or(Aabb::EMPTY, |(bounds, _)| bounds)
     }
 
-    /// Calls `visit` for each box that the ray may meet up to `frame.t_max`, which `visit` may lower, the nearer of two siblings first, until
-    /// it gives true. Gives whether it did. `box_tests` grows by one for each box tested.
+    /// Calls `visit` for each box that the ray may meet up to `frame.t_max`, which `visit` may lower, the nearer of two siblings
+    /// first, until it gives true. Gives whether it did. `box_tests` grows by one for each box tested.
     #[inline(always)]
     pub fn visit<E>(
         &self,

@@ -74,8 +74,8 @@ pub(super) struct Walk<'w, 'o, G> {
     pub counters: &'w mut TraceCounters,
 }
 
-/// Offers the goal every triangle of the instance that the ray may meet; gives whether the goal is reached. A function of its own, entered with
-/// the instructions of `simd`.
+/// Offers the goal every triangle of the instance that the ray may meet; gives whether the goal is reached. A function of its own,
+/// entered with the instructions of `simd`.
 impl<S: Simd, G: Goal> Operation<S> for Walk<'_, '_, G> {
     type Output = Result<bool, LoadError>;
 

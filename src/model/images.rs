@@ -9,8 +9,8 @@ use crate::error::ModelError;
 /// A picture on a surface, in the terms of MTL.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageMap {
-    /// The image file; a relative path starts from the model's folder. An image that is a part of a file has its place behind the file's name:
-    /// see [`ImageMap::inside`] and [`ImageMap::base64_inside`].
+    /// The image file; a relative path starts from the model's folder. An image that is a part of a file has its place behind the
+    /// file's name: see [`ImageMap::inside`] and [`ImageMap::base64_inside`].
     pub path: String,
     /// Texture coordinates are multiplied by this (`-s`),
     pub scale: [f32; 2],
@@ -35,15 +35,16 @@ impl ImageMap {
         ImageMap::new(format!("{file}{PLACE}{}+{length}", place.start))
     }
 
-    /// [`ImageMap::new`] for an image whose bytes stand as base64 text in a JSON string of a file, as in `.gltf` files: the bytes `place` of it, without
-    /// the quotes. In [`ImageMap::path`] that is `FILE#base64=START+LENGTH`; behind that may come the place inside what the text says, as of
-    /// [`ImageMap::inside`].
+    /// [`ImageMap::new`] for an image whose bytes stand as base64 text in a JSON string of a file, as in `.gltf` files: the bytes
+    /// `place` of it, without the quotes. In [`ImageMap::path`] that is `FILE#base64=START+LENGTH`; behind that may come the place
+    /// inside what the text says, as of [`ImageMap::inside`].
     pub fn base64_inside(file: &str, place: Range<u64>) -> ImageMap {
         let length = place.end.saturating_sub(place.start);
         ImageMap::new(format!("{file}{TEXT_PLACE}{}+{length}", place.start))
     }
 
-    /// The file of a path, and where in it the image is, if it is only a part. If the file is itself a text in a file, see [`ImageMap::text_of`].
+    /// The file of a path, and where in it the image is, if it is only a part. If the file is itself a text in a file, see
+    /// [`ImageMap::text_of`].
     pub fn file_of(path: &str) -> (&str, Option<Range<u64>>) {
         split_place(path, PLACE)
     }

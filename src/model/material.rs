@@ -26,14 +26,15 @@ pub struct MaterialRecord {
     pub refractive_index: f32,
     /// Whether `specular` reflects the scene like a mirror (`illum` 3 and up).
     pub mirror: bool,
-    /// How rough mirror and glass are (`Pr`, glTF's roughness): 0 for smooth, up to 1. See [`Finish::roughness`](crate::scene::Finish::roughness), which
-    /// overrides it. What neither mirrors nor refracts has no use for it.
+    /// How rough mirror and glass are (`Pr`, glTF's roughness): 0 for smooth, up to 1. See
+    /// [`Finish::roughness`](crate::scene::Finish::roughness), which overrides it. What neither mirrors nor refracts has no use for
+    /// it.
     pub roughness: f32,
-    /// The share of the surface that is metal (`Pm`, glTF's metalness), 0 to 1. Metal mirrors the scene with reflectance `diffuse`, as rough as `roughness`
-    /// says, and lets nothing through where the rest refracts; all other terms are those of the rest.
+    /// The share of the surface that is metal (`Pm`, glTF's metalness), 0 to 1. Metal mirrors the scene with reflectance `diffuse`,
+    /// as rough as `roughness` says, and lets nothing through where the rest refracts; all other terms are those of the rest.
     pub metalness: f32,
-    /// Whether the Phong exponent follows from the roughness ([`MaterialRecord::exponent_of`]), as in glTF. `shininess` is that of `roughness` then;
-    /// where a picture says how rough the surface is, the exponent goes along.
+    /// Whether the Phong exponent follows from the roughness ([`MaterialRecord::exponent_of`]), as in glTF. `shininess` is that of
+    /// `roughness` then; where a picture says how rough the surface is, the exponent goes along.
     pub exponent_by_roughness: bool,
     /// Pictures on the surface, if there are any.
     pub images: Option<Box<MaterialImages>>,
@@ -68,8 +69,8 @@ const MIRROR: u32 = 1;
 const EXPONENT_BY_ROUGHNESS: u32 = 2;
 
 impl MaterialRecord {
-    /// The Phong exponent of a highlight that is as wide as that of a surface of such roughness (0 to 1): `2 / r^4 - 2`, from 1 to a million, beyond which it
-    /// is as good as a mirror's.
+    /// The Phong exponent of a highlight that is as wide as that of a surface of such roughness (0 to 1): `2 / r^4 - 2`, from 1 to
+    /// a million, beyond which it is as good as a mirror's.
     pub fn exponent_of(roughness: f32) -> f32 {
         let squared = roughness * roughness;
         (2.0 / (squared * squared) - 2.0).clamp(1.0, 1e6)

@@ -28,9 +28,10 @@ pub struct NewBlock<'a> {
     pub material_range: [u16; 2],
 }
 
-/// Collects what the header and the directory say while blocks are written one after the other. No I/O: the caller
-/// leaves [`HEADER_BYTES`] free at the start of the file, writes the stored blocks after them in the order in which they
-/// were given to [`ModelWriter::push`], the pages of attributes if there are any ([`ModelWriter::push_page`]), then the tail, and at last the header. Without its header the file does not open.
+/// Collects what the header and the directory say while blocks are written one after the other. No I/O: the caller leaves
+/// [`HEADER_BYTES`] free at the start of the file, writes the stored blocks after them in the order in which they were given to
+/// [`ModelWriter::push`], the pages of attributes if there are any ([`ModelWriter::push_page`]), then the tail, and at last the
+/// header. Without its header the file does not open.
 #[derive(Clone, Debug)]
 pub struct ModelWriter {
     precision: Precision,

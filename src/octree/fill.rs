@@ -16,7 +16,8 @@ const LEAF_TRIANGLES_MAX: usize = 24;
 /// Indexed leaves hold at most so many: two packets, because theirs are put together vertex by vertex.
 const INDEXED_LEAF_TRIANGLES_MAX: usize = 16;
 
-/// Builds `data`, the block that the directory's `entry` describes, into `slot`, which must have [`FineLayout::slot_bytes`] for it. Does not allocate.
+/// Builds `data`, the block that the directory's `entry` describes, into `slot`, which must have [`FineLayout::slot_bytes`] for it.
+/// Does not allocate.
 ///
 /// # Panics
 /// If the slot is too small or not aligned, or if `scratch` is too small.

@@ -16,8 +16,8 @@
 //!   of a few mix both sides, come too near to each other, and let pixels stop that are wrong. In even regions `D` is next to nothing and
 //!   costs no sample.
 //!
-//! The variance that counts is the greater of both: once a pixel has seen its modes, its blocks tell. What neither a pixel's first samples nor its neighbours' have met is not known to
-//! any estimate.
+//! The variance that counts is the greater of both: once a pixel has seen its modes, its blocks tell. What neither a pixel's first
+//! samples nor its neighbours' have met is not known to any estimate.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -36,8 +36,8 @@ use crate::geom::round_up_f32;
 /// counters depend on the tile size.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AdaptiveSampling {
-    /// Samples of every pixel before its error is looked at; a power of two. With fewer than four, pixels of even regions get fewer, and what is
-    /// known of neighbours is known from fewer samples.
+    /// Samples of every pixel before its error is looked at; a power of two. With fewer than four, pixels of even regions get
+    /// fewer, and what is known of neighbours is known from fewer samples.
     pub samples_min: u32,
     /// Half width of the confidence interval at which a pixel is done: radiance, in the unit of the lights. 0 goes on to the most samples
     /// wherever samples differ at all.
@@ -134,8 +134,8 @@ impl SampleBlocks {
         student_widening(self.blocks().count().saturating_sub(1))
     }
 
-    /// Standard deviation of the mean, in the channel where it is greatest, widened for how few blocks tell it; `contrast` is how far the other mode may be away.
-    /// Of a single sample it is what that alone says.
+    /// Standard deviation of the mean, in the channel where it is greatest, widened for how few blocks tell it; `contrast` is how
+    /// far the other mode may be away. Of a single sample it is what that alone says.
     pub fn deviation(&self, contrast: DVec3) -> f64 {
         let n = f64::from(self.samples);
         let unseen = (n + 1.0) / ((n + 2.0) * (n + 2.0) * (n + 3.0));

@@ -27,8 +27,9 @@ use crate::scene::{Effect, EffectPlan, Scene, Surface};
 ///   lesser of `eta` and `1 / eta`, `eta` any ratio of indices that it can have: Walter's denominator `(eta cos + cos')^2`
 ///   is at least `(1 - eta)^2`, or `(eta - 1)^2`, which is larger.
 ///
-/// Where pictures change the terms of a material, `m` stands for each of the ends of what they can make of it: both bounds are about sums that are linear in
-/// the metalness, and the lobes of the ends are the sharpest ([`Mixture::ends`](crate::scene::Mixture::ends)).
+/// Where pictures change the terms of a material, `m` stands for each of the ends of what they can make of it: both bounds are
+/// about sums that are linear in the metalness, and the lobes of the ends are the sharpest
+/// ([`Mixture::ends`](crate::scene::Mixture::ends)).
 ///
 /// Weights of multiple importance sampling are at most 1, so the bounds hold for each of its terms.
 #[derive(Clone, Copy, Debug)]

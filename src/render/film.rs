@@ -34,8 +34,8 @@ impl PixelStatistics {
         PixelStatistics { samples: 0, deviation: f32::INFINITY, half_difference: [0.0; 3], lost: 0.0 };
 }
 
-/// What tracing the samples of a pixel took, all its rays together: tests of what was looked at, whatever was in memory. At most `u32::MAX` is
-/// counted. See [`RenderSettings::keep_costs`](super::RenderSettings::keep_costs).
+/// What tracing the samples of a pixel took, all its rays together: tests of what was looked at, whatever was in memory. At most
+/// `u32::MAX` is counted. See [`RenderSettings::keep_costs`](super::RenderSettings::keep_costs).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PixelCost {
     /// Nodes visited, one 8-wide box test each ([`TraceCounters::box_tests`](crate::stats::TraceCounters::box_tests)).

@@ -1,5 +1,5 @@
-//! How a ray tree goes on: the work that is left is divided among the rays that leave a hit, one goes on at once, and the others wait on the
-//! sample's stack.
+//! How a ray tree goes on: the work that is left is divided among the rays that leave a hit, one goes on at once, and the others
+//! wait on the sample's stack.
 
 use glam::DVec3;
 

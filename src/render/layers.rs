@@ -64,8 +64,9 @@ impl Layers {
 
     /// Writes `film` and these layers as one OpenEXR file (feature `exr`): channels `R G B`, `Z` (infinite where nothing is hit),
     /// `N.X N.Y N.Z`, `albedo.R albedo.G albedo.B`, and as 32-bit integers `triangle.low`, `triangle.high` and `material`, each
-    /// with all bits set where nothing is hit. A film with [`PixelStatistics`](super::PixelStatistics) adds `samples`, as 32-bit integers, and `deviation`; one with
-    /// [`PixelCost`](super::PixelCost) adds `cost.boxes` and `cost.triangles`, as 32-bit integers. The file appears under its name only when it is whole.
+    /// with all bits set where nothing is hit. A film with [`PixelStatistics`](super::PixelStatistics) adds `samples`, as 32-bit
+    /// integers, and `deviation`; one with [`PixelCost`](super::PixelCost) adds `cost.boxes` and `cost.triangles`, as 32-bit
+    /// integers. The file appears under its name only when it is whole.
     ///
     /// # Errors
     /// [`RenderError::Setting`] if the film has another size, or `path` does not end in `.exr`, or the build lacks the
@@ -84,8 +85,9 @@ impl Layers {
         image::write_layers(film, self, path.as_ref())
     }
 
-    /// What the layers of an image of so many pixels take from the budget while they are made. An octree opened without a limit takes all that is left for
-    /// its cache, so reserve this before, and drop that reservation before [`Renderer::layers`](super::Renderer::layers).
+    /// What the layers of an image of so many pixels take from the budget while they are made. An octree opened without a limit
+    /// takes all that is left for its cache, so reserve this before, and drop that reservation before
+    /// [`Renderer::layers`](super::Renderer::layers).
     pub fn bytes_needed(width: u32, height: u32) -> Bytes {
         Bytes(Layers::own_bytes(width, height).0 + row_bytes(width).0)
     }

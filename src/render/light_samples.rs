@@ -1,5 +1,5 @@
-//! Light that points ask for by luck (next-event estimation): one sample of each light with extent and of the environment at every lit point,
-//! weighted against the rays that find the same light by themselves.
+//! Light that points ask for by luck (next-event estimation): one sample of each light with extent and of the environment at every
+//! lit point, weighted against the rays that find the same light by themselves.
 
 use std::time::Instant;
 

@@ -125,7 +125,8 @@ impl Borders {
                 + size_of::<Option<Hit>>())
     }
 
-    /// `times`: when each ray is traced, if instances move. Gathers what lies at each hit of a medium, and replaces the hit by that of the surface that is to be shaded.
+    /// `times`: when each ray is traced, if instances move. Gathers what lies at each hit of a medium, and replaces the hit by that
+    /// of the surface that is to be shaded.
     pub fn find(
         &mut self,
         stage: &Stage,

@@ -32,8 +32,8 @@ pub(crate) trait RayQuery {
         out: &mut [Occlusion],
     ) -> Result<(), TraceError>;
 
-    /// Sets when the rays of the next call are traced, one time each, where the scene moves; else all are at 0. Needs no answer where nothing
-    /// can move.
+    /// Sets when the rays of the next call are traced, one time each, where the scene moves; else all are at 0. Needs no answer
+    /// where nothing can move.
     fn at_times(&mut self, _times: &mut dyn Iterator<Item = f64>) {}
 
     /// Sets when attributes are asked for, from here on.

@@ -1,4 +1,5 @@
-//! Transmission through clear media that bend light: Snell's law and Fresnel's equations. Square roots only, so the same on every machine (I2).
+//! Transmission through clear media that bend light: Snell's law and Fresnel's equations. Square roots only, so the same on every
+//! machine (I2).
 
 use glam::DVec3;
 
@@ -35,7 +36,8 @@ pub(crate) fn split(direction: DVec3, normal: DVec3, eta: f64) -> Split {
 }
 
 impl Ways {
-    /// A ray along `direction` meets a border with this `facet` for its normal, and this `eta`: what goes through is bent, and a part of it mirrored.
+    /// A ray along `direction` meets a border with this `facet` for its normal, and this `eta`: what goes through is bent, and a
+    /// part of it mirrored.
     pub fn refract(&mut self, shader: &Shader, direction: DVec3, facet: DVec3, eta: f64) {
         let fresnel = split(direction, facet, eta);
         self.reflection.weight += DVec3::splat(shader.transmission * fresnel.reflectance);

@@ -298,8 +298,8 @@ impl RegionRenderer<'_> {
         })
     }
 
-    /// Which blocks of the model rays entered since this was called last, roughly: nothing that shows may depend on it. Empty where there are several
-    /// models.
+    /// Which blocks of the model rays entered since this was called last, roughly: nothing that shows may depend on it. Empty where
+    /// there are several models.
     pub fn take_touched(&mut self) -> BlockSketch {
         match &mut self.lane {
             Lane::InOrder(worker) => worker.take_touched(),

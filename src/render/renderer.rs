@@ -69,8 +69,8 @@ impl<'a> Renderer<'a> {
     /// picture needs any: that is there from here on until the renderer is dropped.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] for a scene or settings that make no sense; [`RenderError::Budget`] and [`RenderError::Trace`] if attributes are
-    /// needed and their cache does not fit, or the octree's source cannot give them.
+    /// [`RenderError::Setting`] for a scene or settings that make no sense; [`RenderError::Budget`] and [`RenderError::Trace`] if
+    /// attributes are needed and their cache does not fit, or the octree's source cannot give them.
     pub fn new(
         octree: &'a LazyOctree,
         scene: &Scene,
@@ -80,7 +80,8 @@ impl<'a> Renderer<'a> {
         Renderer::of(Geometry::Model(octree), scene, settings, budget)
     }
 
-    /// [`Renderer::new`] over instances. Materials of all models are told apart by name alone: a [`Finish`](crate::scene::Finish) holds for all of its name.
+    /// [`Renderer::new`] over instances. Materials of all models are told apart by name alone: a [`Finish`](crate::scene::Finish)
+    /// holds for all of its name.
     ///
     /// # Errors
     /// As for [`Renderer::new`].
@@ -360,8 +361,8 @@ impl Renderer<'_> {
         Probe::new(&self.stage, query, pixel_count, samples_min, &self.budget, stop)
     }
 
-    /// Keeps from now on what the samples of each pixel add up to: each picture goes on with the one before, on as many threads at most. The settings'
-    /// sampling must be adaptive, and statistics kept.
+    /// Keeps from now on what the samples of each pixel add up to: each picture goes on with the one before, on as many threads at
+    /// most. The settings' sampling must be adaptive, and statistics kept.
     ///
     /// # Errors
     /// [`RenderError::Budget`] if what is kept does not fit.

@@ -26,21 +26,22 @@ pub enum PathEnd {
 /// What a ray does that reaches a block which is not resident. The picture is the same, bit for bit; what differs is how often a block is
 /// loaded where the cache holds few of the blocks that rays reach.
 ///
-/// Camera rays come in an order in which neighbours follow each other through the same blocks, so their thread loads for them in any case.
-/// It is all other rays that can wait: each for the block that it needs, until that is loaded for all that wait for it
-/// ([`RayPool`](crate::trace::RayPool)), while other samples go on. That takes memory for the samples on their way, 1 to 4 kilobytes for each ray that may wait, and
-/// it is no use where all blocks are resident.
+/// Camera rays come in an order in which neighbours follow each other through the same blocks, so their thread loads for them in
+/// any case. It is all other rays that can wait: each for the block that it needs, until that is loaded for all that wait for it
+/// ([`RayPool`](crate::trace::RayPool)), while other samples go on. That takes memory for the samples on their way, 1 to 4
+/// kilobytes for each ray that may wait, and it is no use where all blocks are resident.
 ///
-/// Pictures of instances and pictures that keep [costs](RenderSettings::keep_costs) are always made as by [`WaitingRays::Never`]. Where regions
-/// are rendered ([`Renderer::with_regions`](super::Renderer::with_regions)), only samples of one region of a thread are on their way at one time, so the larger it is the more of
-/// them share a load.
+/// Pictures of instances and pictures that keep [costs](RenderSettings::keep_costs) are always made as by [`WaitingRays::Never`].
+/// Where regions are rendered ([`Renderer::with_regions`](super::Renderer::with_regions)), only samples of one region of a thread
+/// are on their way at one time, so the larger it is the more of them share a load.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum WaitingRays {
     /// Its thread loads the block at once.
     Never,
-    /// They wait if there are fewer slots than blocks and the scene has interreflection, whose rays go anywhere. Those of mirrors and glass mostly follow each other,
-    /// as camera rays do, and taking them out of their order was found to cost more loads than it saves as often as not. As many may wait as a part of the
-    /// memory that all blocks would take holds, with no more than the cache has, at most 65,536; fewer or none if the budget has no room for them: nothing fails for that.
+    /// They wait if there are fewer slots than blocks and the scene has interreflection, whose rays go anywhere. Those of mirrors
+    /// and glass mostly follow each other, as camera rays do, and taking them out of their order was found to cost more loads than
+    /// it saves as often as not. As many may wait as a part of the memory that all blocks would take holds, with no more than the
+    /// cache has, at most 65,536; fewer or none if the budget has no room for them: nothing fails for that.
     #[default]
     Auto,
     /// So many may wait, all threads together; at least 1.
@@ -95,8 +96,8 @@ pub struct RenderSettings {
     pub adaptive: Option<AdaptiveSampling>,
     /// Whether the film keeps [`PixelStatistics`](super::PixelStatistics) beside each pixel. Does not show.
     pub keep_statistics: bool,
-    /// Whether the film keeps the [`PixelCost`](super::PixelCost) of each pixel. Does not show, but rays of different pixels are then not traced together,
-    /// which takes longer.
+    /// Whether the film keeps the [`PixelCost`](super::PixelCost) of each pixel. Does not show, but rays of different pixels are
+    /// then not traced together, which takes longer.
     pub keep_costs: bool,
     /// How samples are spread around their pixel.
     pub filter: Filter,
@@ -126,8 +127,8 @@ pub struct RenderSettings {
     /// Whether rays wait for blocks that are not resident. A matter of the process that renders: it is not serialised.
     #[serde(skip)]
     pub waiting: WaitingRays,
-    /// Threads beside those of the render that load blocks while rays wait for them; with 0, each thread of the render loads for its own rays and traces nothing
-    /// meanwhile. None is started where no ray waits. Not serialised.
+    /// Threads beside those of the render that load blocks while rays wait for them; with 0, each thread of the render loads for
+    /// its own rays and traces nothing meanwhile. None is started where no ray waits. Not serialised.
     #[serde(skip)]
     pub loader_threads: u32,
 }

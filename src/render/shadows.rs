@@ -131,8 +131,8 @@ impl ShadowBatch {
         self.claims.push(Claim { slot, contribution, lost: 0.0 });
     }
 
-    /// `times`: when each sample is taken, if instances move. Answers all claims, adds what reaches `radiance`, and is empty again. Light too weak to be followed through more
-    /// surfaces is added to `lost`, which may be empty where no surface is transparent.
+    /// `times`: when each sample is taken, if instances move. Answers all claims, adds what reaches `radiance`, and is empty again.
+    /// Light too weak to be followed through more surfaces is added to `lost`, which may be empty where no surface is transparent.
     pub fn resolve<Q: RayQuery>(
         &mut self,
         stage: &Stage,
@@ -162,7 +162,8 @@ impl ShadowBatch {
         query.occluded(&self.rays, passed.as_ref(), occlusion)?;
         counters.shadow_rays += count as u64;
         if passed.is_none() || !occlusion.contains(&Occlusion::Filtered) {
-            // Nothing shines through, so that the answers are all there is. Shadows that are traced only because they are forced must not show.
+            // Nothing shines through, so that the answers are all there is. Shadows that are traced only because they are forced
+            // must not show.
             for (claim, answer) in self.claims.iter().zip(&*occlusion) {
                 if *answer == Occlusion::Clear || !stage.shadows {
                     radiance[claim.slot as usize] += claim.contribution;

@@ -398,8 +398,8 @@ impl Stage {
         self.smooth && shader.depends_on_normal
     }
 
-    /// The form that these hits ask for, where `may_have_normals` knows what the directory says of their triangle's corners: an effect of a surface that
-    /// nothing meets costs nothing (I6).
+    /// The form that these hits ask for, where `may_have_normals` knows what the directory says of their triangle's corners: an
+    /// effect of a surface that nothing meets costs nothing (I6).
     pub fn loop_of_hits(&self, hits: &[Option<Hit>], may_have_normals: impl Fn(TriangleId) -> bool) -> Loop {
         let mut found = self.least_loop;
         if found == self.path_loop {

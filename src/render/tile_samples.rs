@@ -1,7 +1,7 @@
 //! The pixels of a tile while samples are added to them: in rounds, where sampling is adaptive.
 //!
-//! A round is a list of samples, pixel by pixel; whoever traces them gives them back in that order, so that every pixel sums up its samples in
-//! the same order whoever that is (I2).
+//! A round is a list of samples, pixel by pixel; whoever traces them gives them back in that order, so that every pixel sums up its
+//! samples in the same order whoever that is (I2).
 
 use std::ops::Range;
 
@@ -183,8 +183,8 @@ impl TileSamples {
         [(index / per_pixel) as usize, (index % per_pixel) as usize]
     }
 
-    /// Takes in what became of the samples from number `start` of this round on; to be called in their order. How many of them belong to the
-    /// tile's own pixels.
+    /// Takes in what became of the samples from number `start` of this round on; to be called in their order. How many of them
+    /// belong to the tile's own pixels.
     pub fn add(&mut self, start: u64, radiance: &[DVec3], lost: &[f64]) -> u64 {
         let [place, skipped] = self.place_of(start);
         // The first may go on with a pixel.
@@ -230,8 +230,8 @@ impl TileSamples {
         self.costs[pixel].add(before, after);
     }
 
-    /// Begins another round for pixels whose error is above `threshold` (that of the settings if there is none); false if there are none, or
-    /// they have all samples that they may have.
+    /// Begins another round for pixels whose error is above `threshold` (that of the settings if there is none); false if there are
+    /// none, or they have all samples that they may have.
     pub fn next_round(&mut self, stage: &Stage, threshold: Option<f64>) -> bool {
         let Some(adaptive) = stage.settings.adaptive else { return false };
         if let Some(draft) = &stage.draft {

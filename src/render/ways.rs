@@ -33,8 +33,8 @@ pub(super) struct Way {
     pub kind: Kind,
     /// What a ray along it carries is this times what the path carries.
     pub weight: DVec3,
-    /// Unit. None: that of a smooth mirror, for reflection, which is worked out if it is followed; for others nothing goes this way, and what is forced goes on
-    /// any.
+    /// Unit. None: that of a smooth mirror, for reflection, which is worked out if it is followed; for others nothing goes this
+    /// way, and what is forced goes on any.
     pub direction: Option<DVec3>,
     pub course: Course,
 }
@@ -72,7 +72,8 @@ impl Ways {
         }
     }
 
-    /// Where the normal that light falls on disagrees with that of the triangle, `geometric`: rays still go to the side that they are meant for.
+    /// Where the normal that light falls on disagrees with that of the triangle, `geometric`: rays still go to the side that they
+    /// are meant for.
     pub fn keep_sides(&mut self, point: &Point, geometric: DVec3) {
         let onward = &mut self.transmission.direction;
         *onward = onward.map(|onward| on_side(onward, -geometric));

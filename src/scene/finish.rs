@@ -8,8 +8,9 @@ use crate::model::MaterialRecord;
 /// A finish for the material of a certain name: roughness, instead of the model's, and rank among nested media.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Finish {
-    /// 0 is smooth. Up to 1, reflection and refraction are blurred by microfacets of the GGX distribution with `alpha = roughness^2`. Without
-    /// it the material has the roughness of its record ([`MaterialRecord::roughness`]) and of its picture; with it none of them counts.
+    /// 0 is smooth. Up to 1, reflection and refraction are blurred by microfacets of the GGX distribution with
+    /// `alpha = roughness^2`. Without it the material has the roughness of its record ([`MaterialRecord::roughness`]) and of its
+    /// picture; with it none of them counts.
     pub roughness: Option<f32>,
     /// Rank of a transparent material where bodies overlap: a body of higher priority displaces those of lower. Bodies whose
     /// surfaces coincide (water in a glass) become one border. Without any priority in the scene each surface refracts

@@ -1,5 +1,6 @@
-//! What a surface is of where a part of it is metal: the mix of two materials by metalness (glTF 2.0, appendix B), at the factors of a material or at one
-//! place of its pictures. The same few multiplications serve both, so that a picture of one texel looks as its numbers would.
+//! What a surface is of where a part of it is metal: the mix of two materials by metalness (glTF 2.0, appendix B), at the factors
+//! of a material or at one place of its pictures. The same few multiplications serve both, so that a picture of one texel looks as
+//! its numbers would.
 
 use glam::DVec3;
 use smallvec::SmallVec;
@@ -37,7 +38,8 @@ pub(crate) struct Terms {
 pub(crate) const ROUGHNESS_CHANNEL: usize = 1;
 pub(crate) const METALNESS_CHANNEL: usize = 2;
 
-/// Between which numbers the pictures of a material have its metalness and roughness, factors apart; none where there is no picture that shows.
+/// Between which numbers the pictures of a material have its metalness and roughness, factors apart; none where there is no picture
+/// that shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Variation {
     pub metalness: Option<[f64; 2]>,
@@ -45,8 +47,8 @@ pub(crate) struct Variation {
 }
 
 impl Variation {
-    /// What the pictures of a material change that shows with these effects: nothing where there is no metal to begin with, where a finish says how rough
-    /// it is, or where nothing depends on it.
+    /// What the pictures of a material change that shows with these effects: nothing where there is no metal to begin with, where a
+    /// finish says how rough it is, or where nothing depends on it.
     pub fn of(
         record: &MaterialRecord,
         finish: &Finish,
@@ -110,8 +112,8 @@ pub(crate) struct Mixture {
     pub metalness: f64,
     pub roughness: f64,
     reflection: bool,
-    /// Whether what is mirrored or refracted is spread by the roughness: for the material as a whole, so that one place has no lobe that the ends of its
-    /// pictures lack.
+    /// Whether what is mirrored or refracted is spread by the roughness: for the material as a whole, so that one place has no lobe
+    /// that the ends of its pictures lack.
     has_lobes: bool,
 }
 
@@ -141,8 +143,8 @@ impl Mixture {
         Mixture { has_lobes: mixture.may_have_lobes(true, true), ..mixture }
     }
 
-    /// Whether lobes are simulated, by whether mirrors may have them and what refracts: a place that does both has one roughness, and is smooth if either is to
-    /// be.
+    /// Whether lobes are simulated, by whether mirrors may have them and what refracts: a place that does both has one roughness,
+    /// and is smooth if either is to be.
     fn may_have_lobes(&self, glossy: bool, frosted: bool) -> bool {
         let mirrors = self.mirror != DVec3::ZERO || self.metalness > 0.0 && self.metal != DVec3::ZERO;
         match (mirrors, self.refracts && self.transmission > 0.0) {
@@ -229,9 +231,9 @@ impl Mixture {
         }
     }
 
-    /// The terms at the ends of what pictures can make of the material. All terms but `alpha` and the exponent are linear in the metalness, so that what is
-    /// linear in them is nowhere more than at one of these; and nowhere is a lobe sharper. Pictures of one number have one end, which is what
-    /// [`Mixture::at`] gives for it, bit for bit.
+    /// The terms at the ends of what pictures can make of the material. All terms but `alpha` and the exponent are linear in the
+    /// metalness, so that what is linear in them is nowhere more than at one of these; and nowhere is a lobe sharper. Pictures of
+    /// one number have one end, which is what [`Mixture::at`] gives for it, bit for bit.
     pub fn ends(&self, variation: Variation) -> SmallVec<[Terms; 4]> {
         /// For what lookups are off by rounding.
         const CERTAIN: f64 = 1.0 - 1e-9;

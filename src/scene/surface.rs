@@ -20,9 +20,10 @@ use crate::model::MaterialRecord;
 /// `d min(Ks, 1) + (1 - d) <= 1` in each channel: no surface sends on more than it gets. The renderer's bound on
 /// radiance rests on this. All numbers are finite and not negative.
 ///
-/// Metal mirrors `min(Kd, 1)`, as rough as the rest, with a highlight of strength `Kd` where it is smooth, and has no diffuse part. It hides what is behind
-/// it where the rest refracts (`Ni` is not 1), and is as see-through as the rest, by `d`, where it does not. With metalness `m` (`Pm`) each term is `1 - m`
-/// times that of what is no metal and `m` times the metal's; so energy is kept by any mix.
+/// Metal mirrors `min(Kd, 1)`, as rough as the rest, with a highlight of strength `Kd` where it is smooth, and has no diffuse part.
+/// It hides what is behind it where the rest refracts (`Ni` is not 1), and is as see-through as the rest, by `d`, where it does
+/// not. With metalness `m` (`Pm`) each term is `1 - m` times that of what is no metal and `m` times the metal's; so energy is kept
+/// by any mix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
     /// Emitted radiance.

@@ -13,8 +13,8 @@ const LEVELS: u32 = 4;
 /// A worker's blocks are those of its last results: of so many at least, and of less than twice as many.
 const RESULTS: u32 = 4;
 
-/// What results told about blocks: a sketch for each region of the image, of all blocks that its finished cells needed, and one for each worker,
-/// of the blocks that it touched last.
+/// What results told about blocks: a sketch for each region of the image, of all blocks that its finished cells needed, and one for
+/// each worker, of the blocks that it touched last.
 pub(super) struct Affinity {
     /// A region is a square of 2^shift tiles a side.
     shift: u32,

@@ -104,8 +104,8 @@ impl Estimates<'_> {
         }
     }
 
-    /// The back of a lease, such that its holder and the worker `slot` end at the same time, and how long the worker will have to do with it.
-    /// None if that is not worth while.
+    /// The back of a lease, such that its holder and the worker `slot` end at the same time, and how long the worker will have to
+    /// do with it. None if that is not worth while.
     pub fn cut(&self, slot: u32, id: LeaseId, lease: &Lease, now: Nanos) -> Option<(TileCells, Nanos)> {
         if lease.is_raced {
             return None;
@@ -125,8 +125,8 @@ impl Estimates<'_> {
                 let at = if wait > 0.0 { 0.0 } else { (spent / cell).floor() + 1.0 };
                 (equal.max(at), own_cell)
             }
-            // It should be through, or nothing is known: it may be anywhere. What has lasted long will last long; and if the holder is beyond the middle
-            // already, it is through as soon as it hears, and little is done twice.
+            // It should be through, or nothing is known: it may be anywhere. What has lasted long will last long; and if the holder
+            // is beyond the middle already, it is through as soon as it hears, and little is done twice.
             _ => ((count * holder / (holder + own)).ceil(), spent / count * holder / own),
         };
         let keep = keep.clamp(0.0, count);

@@ -34,14 +34,15 @@ pub enum TilePolicy {
     Curve,
 }
 
-/// Of which piece a worker of [`TilePolicy::Curve`] takes over half when its own is at an end, among those that would take nearly the longest.
+/// Of which piece a worker of [`TilePolicy::Curve`] takes over half when its own is at an end, among those that would take nearly
+/// the longest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PieceChoice {
     /// The one nearest along the curve to where the worker was.
     #[default]
     Near,
-    /// The one whose blocks the worker most likely holds, by what results tell ([`TileResult::blocks`](super::TileResult::blocks)): the blocks
-    /// that finished cells around there needed, against those that the worker touched last. Among equals, the nearest.
+    /// The one whose blocks the worker most likely holds, by what results tell ([`TileResult::blocks`](super::TileResult::blocks)):
+    /// the blocks that finished cells around there needed, against those that the worker touched last. Among equals, the nearest.
     Held,
 }
 
@@ -59,8 +60,8 @@ pub struct SchedulerOptions {
     pub policy: TilePolicy,
     /// Of which piece of the curve an idle worker takes over half.
     pub piece_choice: PieceChoice,
-    /// At the start, no hand-out is greater than the image over the expected workers over this: at least five tiles each (the paper). 0 for no such
-    /// bound.
+    /// At the start, no hand-out is greater than the image over the expected workers over this: at least five tiles each (the
+    /// paper). 0 for no such bound.
     pub tiles_per_worker: u32,
     /// Late subdivision: a hand-out is at most this part of what is left per worker, but at least one cell. 0 hands out
     /// whole tiles to the end.
@@ -107,8 +108,8 @@ impl SchedulerOptions {
         }
     }
 
-    /// The defaults for the workers of one [sub-coordinator](super::SubScheduler): so many of its own. First hand-outs are smaller, since what is in hand cannot
-    /// be given to other sub-coordinators when it turns out to be dear.
+    /// The defaults for the workers of one [sub-coordinator](super::SubScheduler): so many of its own. First hand-outs are smaller,
+    /// since what is in hand cannot be given to other sub-coordinators when it turns out to be dear.
     pub fn for_sub_coordinator(expected_workers: u32) -> SchedulerOptions {
         SchedulerOptions { tiles_per_worker: 60, ..SchedulerOptions::new(expected_workers) }
     }

@@ -15,8 +15,8 @@ pub struct Assignment {
     pub lease: LeaseId,
     /// The cells to render, in the order of their numbers: [`ImageGrid::squares`] gives their pixels in that order.
     pub cells: TileCells,
-    /// The critical time: a worker that has spent so much time on the cells, from the first ray on, stops after the cell that it is at and returns
-    /// what it has. [`Duration::MAX`] if there is none.
+    /// The critical time: a worker that has spent so much time on the cells, from the first ray on, stops after the cell that it is
+    /// at and returns what it has. [`Duration::MAX`] if there is none.
     pub stop_after: Duration,
 }
 
@@ -34,8 +34,8 @@ pub enum Answer {
 /// What the scheduler has to say to a worker that did not ask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// Of this lease, do only these cells, or none; others do the rest. Cells that are rendered already may be returned all the same. A notice
-    /// that arrives late, or never, costs work and no more.
+    /// Of this lease, do only these cells, or none; others do the rest. Cells that are rendered already may be returned all the
+    /// same. A notice that arrives late, or never, costs work and no more.
     Shorten {
         /// Who holds the lease.
         worker: WorkerId,

@@ -42,7 +42,8 @@ pub trait BlockSource: Send + Sync {
     }
 
     /// Reads the stored bytes of page `page` of the attributes into `into` (cleared first; never reallocated if it has the capacity
-    /// [`AttributePages::stored_bytes_max`](crate::model::AttributePages::stored_bytes_max) and what [`BlockSource::buffer_bytes`] has beyond a block).
+    /// [`AttributePages::stored_bytes_max`](crate::model::AttributePages::stored_bytes_max) and what [`BlockSource::buffer_bytes`]
+    /// has beyond a block).
     ///
     /// # Errors
     /// [`SourceError`]: [`SourceError::NoAttributes`] if there is no such page or this source cannot give any.

@@ -34,8 +34,8 @@ pub struct TextureCache {
 }
 
 impl TextureCache {
-    /// A cache for at most `readers` readers at a time: as many slots as `share` holds, but at least eight for each reader, and no more than
-    /// there are tiles.
+    /// A cache for at most `readers` readers at a time: as many slots as `share` holds, but at least eight for each reader, and no
+    /// more than there are tiles.
     ///
     /// # Errors
     /// [`BudgetError`] if the budget does not hold [`TextureCache::bytes_needed`].

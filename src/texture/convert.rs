@@ -24,8 +24,8 @@ impl Textures {
     /// widest image's width, and a JPEG or interlaced PNG image as a whole.
     ///
     /// # Errors
-    /// [`TextureError`] for an image that cannot be read (which names it), a file that cannot be written, or a budget that is too small. A file
-    /// that was at `tiles` before is as it was.
+    /// [`TextureError`] for an image that cannot be read (which names it), a file that cannot be written, or a budget that is too
+    /// small. A file that was at `tiles` before is as it was.
     pub fn open(
         materials: &[MaterialRecord],
         folder: &Path,

@@ -31,8 +31,8 @@ pub(super) struct Place {
     pub part: Option<Range<u64>>,
 }
 
-/// Reads an image file, or the part of a file that is one; its kind is told by its first bytes. A text in base64 is decoded as a whole, in memory of
-/// the budget.
+/// Reads an image file, or the part of a file that is one; its kind is told by its first bytes. A text in base64 is decoded as a
+/// whole, in memory of the budget.
 pub(super) fn decode(
     path: &Path,
     place: Place,

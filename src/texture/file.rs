@@ -1,10 +1,10 @@
 //! The pictures of a model: where their tiles are, and what is known of each.
 //!
-//! The file, little-endian: header of 64 bytes (signature 12, version u32 = 2, pictures u32, tiles u32, directory offset, length, checksum
-//! u64 each, key u64, checksum of all before u64), tiles of 16,384 bytes, directory. A tile is 64 x 64 texels of four bytes, rows from
-//! the top. The directory: for each picture its width, height, first tile (u32 each), encoding (u8: 0 sRGB, 1 linear), alpha (u8), path
-//! length (u16), least and greatest byte of each channel (4 each), path; then a checksum (u64) for each tile. All checksums are XXH3-64. The key tells whether the file was made
-//! from these images as they are now.
+//! The file, little-endian: header of 64 bytes (signature 12, version u32 = 2, pictures u32, tiles u32, directory offset, length,
+//! checksum u64 each, key u64, checksum of all before u64), tiles of 16,384 bytes, directory. A tile is 64 x 64 texels of four
+//! bytes, rows from the top. The directory: for each picture its width, height, first tile (u32 each), encoding (u8: 0 sRGB, 1
+//! linear), alpha (u8), path length (u16), least and greatest byte of each channel (4 each), path; then a checksum (u64) for each
+//! tile. All checksums are XXH3-64. The key tells whether the file was made from these images as they are now.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -222,8 +222,9 @@ impl Textures {
         self.images[texture.0 as usize].has_alpha
     }
 
-    /// The least and the greatest number of red, green and blue that any texel of a picture has, as lookups give them. Those between texels and of smaller sizes
-    /// are means, and so lie between them up to rounding; where the two are the same, every lookup gives just that.
+    /// The least and the greatest number of red, green and blue that any texel of a picture has, as lookups give them. Those
+    /// between texels and of smaller sizes are means, and so lie between them up to rounding; where the two are the same, every
+    /// lookup gives just that.
     ///
     /// # Panics
     /// If there is no such picture.

@@ -26,10 +26,11 @@ impl Tracer<'_> {
     /// crossing.
     ///
     /// # Guarantee
-    /// For a line through closed, consistently oriented surfaces, whose hits all lie between the ray's ends, and a certified octree: entries and
-    /// exits are equal in number. If no point is inside more than one of the surfaces and their normals point outward, they alternate, the first is
-    /// an entry and the last an exit. For that, crossings closer together than `t` is known, a factor of `1 + 2^-38`, are
-    /// put in an order in which they do, so that `t` may step back by that much; up to 32 of them at a time.
+    /// For a line through closed, consistently oriented surfaces, whose hits all lie between the ray's ends, and a certified
+    /// octree: entries and exits are equal in number. If no point is inside more than one of the surfaces and their normals point
+    /// outward, they alternate, the first is an entry and the last an exit. For that, crossings closer together than `t` is known,
+    /// a factor of `1 + 2^-38`, are put in an order in which they do, so that `t` may step back by that much; up to 32 of them at a
+    /// time.
     ///
     /// A ray that touches an edge or a vertex from outside and does not go in crosses nothing, or enters and leaves at the
     /// same point up to rounding, as the moved line does. In the same way it may leave and enter where it touches one from

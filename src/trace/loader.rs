@@ -23,7 +23,8 @@ pub struct LoaderOptions {
     /// Loads that may run at the same time: each has scratch of its own, as much as a tracer. At least 1.
     pub loads_at_once: u32,
     /// Most loads that one pool asks for before the first of them has ended; a quarter of the pool's share of the slots if that is
-    /// less, and never more than 64. A pool asks for as few as keep it busy, because the later it chooses a block the more rays wait for it. At least 1.
+    /// less, and never more than 64. A pool asks for as few as keep it busy, because the later it chooses a block the more rays
+    /// wait for it. At least 1.
     pub loads_in_flight: u32,
 }
 

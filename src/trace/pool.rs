@@ -25,9 +25,9 @@ pub struct PoolOptions {
     pub suspended: u32,
     /// Materials that any-hit queries ignore.
     pub ignore: Option<MaterialSet>,
-    /// How many rays, at most, are asked for at once because of the answer to a closest-hit query: shadow rays and the ray that goes on. While
-    /// there is no room for so many, closest-hit queries wait longer than for their blocks, as long as any-hit queries wait that could make room. With 0 no
-    /// room is kept.
+    /// How many rays, at most, are asked for at once because of the answer to a closest-hit query: shadow rays and the ray that
+    /// goes on. While there is no room for so many, closest-hit queries wait longer than for their blocks, as long as any-hit
+    /// queries wait that could make room. With 0 no room is kept.
     pub children: u32,
 }
 
@@ -56,9 +56,10 @@ impl PoolOptions {
 
 /// Answers queries on one thread, in whatever order costs the fewest block loads.
 ///
-/// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded. Blocks are loaded in turn, in
-/// the order of the file (to and fro, if many of them are in memory at once), those for which little waits in a later turn. What waits for a block then
-/// runs, unless room is short ([`PoolOptions::children`]). There are no rounds: rays may be added at any time, and so can those that answers lead to.
+/// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded. Blocks are loaded in
+/// turn, in the order of the file (to and fro, if many of them are in memory at once), those for which little waits in a later
+/// turn. What waits for a block then runs, unless room is short ([`PoolOptions::children`]). There are no rounds: rays may be added
+/// at any time, and so can those that answers lead to.
 ///
 /// Answers are those of a [`Tracer`], whatever the pool's size and order (I2). When the pool is full, rays load what
 /// they need, depth first: nothing fails and nothing grows.
@@ -219,8 +220,9 @@ impl<'o> RayPool<'o> {
         Ok(())
     }
 
-    /// Makes one block resident, if rays wait, and runs those that wait for it, at most [`RayPool::RESUMED_MAX`] of each kind, and of closest-hit queries no
-    /// more than have room for their children ([`PoolOptions::children`]), but one if there is nothing else; appends to `answers`. Returns whether rays waited when it was called.
+    /// Makes one block resident, if rays wait, and runs those that wait for it, at most [`RayPool::RESUMED_MAX`] of each kind, and
+    /// of closest-hit queries no more than have room for their children ([`PoolOptions::children`]), but one if there is nothing
+    /// else; appends to `answers`. Returns whether rays waited when it was called.
     ///
     /// With a loader, it asks for the next blocks and runs the rays of one that has arrived; it waits if none
     /// has.
@@ -278,8 +280,8 @@ impl<'o> RayPool<'o> {
         self.suspended.room()
     }
 
-    /// Lets a tracer answer at once, loading what is missing on this thread: for rays that follow each other through the same blocks. What it
-    /// loads, the rays that wait have at no cost.
+    /// Lets a tracer answer at once, loading what is missing on this thread: for rays that follow each other through the same
+    /// blocks. What it loads, the rays that wait have at no cost.
     pub(crate) fn at_once<R>(&mut self, ask: impl FnOnce(&mut Tracer<'o>) -> R) -> R {
         self.tracer.pins.loads = true;
         let answer = ask(&mut self.tracer);

@@ -59,9 +59,9 @@ impl List {
 /// A block is passed over while another is worth more than so many times as much.
 const SHARE_MIN: u64 = 32;
 
-/// Whether the way through a file of so many blocks, of which `slot_count` are in memory at once, is to turn back at its ends: then the blocks that
-/// come next are those that were loaded last. With less than a twelfth in memory that is worth less than what it costs, that blocks near the ends come
-/// twice in a row.
+/// Whether the way through a file of so many blocks, of which `slot_count` are in memory at once, is to turn back at its ends: then
+/// the blocks that come next are those that were loaded last. With less than a twelfth in memory that is worth less than what it
+/// costs, that blocks near the ends come twice in a row.
 pub(super) fn turns_back(slot_count: u32, block_count: u32) -> bool {
     slot_count >= block_count / 12
 }
@@ -96,8 +96,8 @@ pub(super) struct SuspendedRays {
 }
 
 impl SuspendedRays {
-    /// Room for `capacity` rays, blocks whose numbers are below `block_count`, and `loading_max` of them on their way in. `kept_free`: places below which
-    /// room is short. `turns_back`: see [`turns_back`].
+    /// Room for `capacity` rays, blocks whose numbers are below `block_count`, and `loading_max` of them on their way in.
+    /// `kept_free`: places below which room is short. `turns_back`: see [`turns_back`].
     pub fn new(
         capacity: u32,
         block_count: usize,
@@ -262,8 +262,8 @@ impl SuspendedRays {
     /// little room is left, how many any-hit queries it has, as those lead to no others.
     ///
     /// Neighbours in the file are neighbours in space. A ray that leaves a block mostly waits for a neighbour, so going through the
-    /// file lets it pass several blocks in one turn, where blocks chosen by weight alone make it wait half a turn for each. Light queues are
-    /// left for a later turn.
+    /// file lets it pass several blocks in one turn, where blocks chosen by weight alone make it wait half a turn for each. Light
+    /// queues are left for a later turn.
     pub fn choose(&mut self) -> Option<BlockId> {
         let heaviest = *self.heap.first()?;
         let is_short = self.room() < self.kept_free;

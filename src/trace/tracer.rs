@@ -43,7 +43,8 @@ impl LazyOctree {
     /// A tracer for the calling thread, or for one that it is sent to.
     ///
     /// # Errors
-    /// [`TraceError::Budget`] if the budget has no room for its scratch, [`TraceError::TooManyTracers`] if `tracers_max` tracers live already.
+    /// [`TraceError::Budget`] if the budget has no room for its scratch, [`TraceError::TooManyTracers`] if `tracers_max` tracers
+    /// live already.
     pub fn tracer(&self) -> Result<Tracer<'_>, TraceError> {
         let permit = self.permit()?;
         let reservation = self.budget.reserve(tracer_bytes(&*self.source), "a tracer's scratch")?;

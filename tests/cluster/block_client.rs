@@ -1,4 +1,5 @@
-//! The asking side of readers by itself, over a simulated network: whose share goes where, what ends a wait, and peers that say what they like.
+//! The asking side of readers by itself, over a simulated network: whose share goes where, what ends a wait, and peers that say
+//! what they like.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -306,8 +306,8 @@ fn normals_that_face_away() {
     }
 }
 
-/// A coarse ball with the normals of the sphere in light from the side. Its triangles are flat, so near the line where light ends one that the light still falls on
-/// by its normals lies in the shadow of its neighbours.
+/// A coarse ball with the normals of the sphere in light from the side. Its triangles are flat, so near the line where light ends
+/// one that the light still falls on by its normals lies in the shadow of its neighbours.
 #[test]
 fn the_shadow_terminator_of_a_coarse_ball() {
     const RINGS: u32 = 10;

@@ -1,7 +1,7 @@
 //! The suite between the processes of an MPI job, and how such a job ends.
 //!
-//! This test program starts itself by `mpirun` (or what the variable `OUTCROP_MPIRUN` names). Rank 0 runs the suite; nodes are opened on all
-//! ranks in turn, and those of other ranks do what rank 0 tells them.
+//! This test program starts itself by `mpirun` (or what the variable `OUTCROP_MPIRUN` names). Rank 0 runs the suite; nodes are
+//! opened on all ranks in turn, and those of other ranks do what rank 0 tells them.
 
 use std::cell::Cell;
 use std::collections::HashMap;

@@ -22,8 +22,8 @@ impl LazyModel {
     /// Octrees over this model can be used before, meanwhile and after it. If it fails, the working file is as it was.
     ///
     /// # Errors
-    /// [`CompileError`]; [`CompileError::Limit`] if attributes or images of the source were left out: then the whole model must be compiled, or
-    /// [`CompileOptions::attributes`](crate::compile::CompileOptions) say that they are not wanted.
+    /// [`CompileError`]; [`CompileError::Limit`] if attributes or images of the source were left out: then the whole model must be
+    /// compiled, or [`CompileOptions::attributes`](crate::compile::CompileOptions) say that they are not wanted.
     pub fn finish(
         &self,
         progress: &mut dyn FnMut(Progress) -> Control,

@@ -62,7 +62,8 @@ fn unescaped(text: &[u8]) -> Option<Cow<'_, [u8]>> {
 pub(super) struct DataPlaces(HashMap<u64, Range<u64>>);
 
 impl DataPlaces {
-    /// Finds them in JSON text that starts at `offset` of a file. The text must be sound: then quotes are at the ends of strings and nowhere else.
+    /// Finds them in JSON text that starts at `offset` of a file. The text must be sound: then quotes are at the ends of strings
+    /// and nowhere else.
     pub fn find(json: &[u8], offset: u64) -> DataPlaces {
         let mut places = HashMap::new();
         let mut at = 0;

@@ -16,10 +16,11 @@ use crate::model::{ImageMap, MaterialImages, MaterialRecord};
 
 /// The material nearest to `material`, with the textures of base colour, normals, roughness, metalness and emission.
 ///
-/// With base colour `c`, transmission `T` and refractive index `n` (appendix B of the specification): `Kd = c`, `Ks = ((n - 1) / (n + 1))^2`, opacity is
-/// `1 - T` or, if blended, alpha. Metalness and roughness are the file's (roughness is perceptual, `alpha = r^2`), and the Phong exponent follows from the
-/// roughness. What is metal mirrors the scene, what refracts is frosted. Other dielectrics reflect by Fresnel, 4 % where they are faced:
-/// they have a highlight of that strength and mirror nothing, so that matt things take no ray for the rest.
+/// With base colour `c`, transmission `T` and refractive index `n` (appendix B of the specification): `Kd = c`,
+/// `Ks = ((n - 1) / (n + 1))^2`, opacity is `1 - T` or, if blended, alpha. Metalness and roughness are the file's (roughness is
+/// perceptual, `alpha = r^2`), and the Phong exponent follows from the roughness. What is metal mirrors the scene, what refracts is
+/// frosted. Other dielectrics reflect by Fresnel, 4 % where they are faced: they have a highlight of that strength and mirror
+/// nothing, so that matt things take no ray for the rest.
 pub(super) fn record(
     opened: &Opened,
     material: &Material<'_>,

@@ -1,8 +1,9 @@
 //! glTF 2.0: `.gltf` with its buffers beside it or in it, and `.glb`.
 //!
-//! A scene is a tree of nodes that place meshes. Each placement is read as geometry of its own: its positions are multiplied by
-//! the node's matrix in f64 and its triangles get ids in the order of the tree, so a mesh that is placed twice is there
-//! twice, unless only a part is asked for ([`GltfPart`]). Only the JSON text is held in memory ([`JSON_BYTES_MAX`] at most); buffers are read in pieces.
+//! A scene is a tree of nodes that place meshes. Each placement is read as geometry of its own: its positions are multiplied by the
+//! node's matrix in f64 and its triangles get ids in the order of the tree, so a mesh that is placed twice is there twice, unless
+//! only a part is asked for ([`GltfPart`]). Only the JSON text is held in memory ([`JSON_BYTES_MAX`] at most); buffers are read in
+//! pieces.
 //!
 //! Normals and the first set of texture coordinates go along, if the sink takes them. Skins and morph targets stay at rest; the report says
 //! so, and what else was left out.

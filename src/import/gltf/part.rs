@@ -46,7 +46,8 @@ pub struct GltfMesh {
     pub places: Vec<Affine>,
 }
 
-/// The meshes that the default scene of a file places, or its first one, in the order in which they are first placed. Positions and indices are not read.
+/// The meshes that the default scene of a file places, or its first one, in the order in which they are first placed. Positions and
+/// indices are not read.
 ///
 /// # Errors
 /// As for [`import_file`](crate::import::import_file), of what is looked at.

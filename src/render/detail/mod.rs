@@ -1,7 +1,7 @@
 //! What a hit looks like beyond its triangle and its material: the part of shading that reads attributes of corners and pictures.
 //!
-//! Only the *Detailed* path loop comes here ([`super::hot`]), and only for materials that show a difference; and shadow rays of any loop that pass what is metal in
-//! places. Cut-outs are decided before, in [`query`].
+//! Only the *Detailed* path loop comes here ([`super::hot`]), and only for materials that show a difference; and shadow rays of any
+//! loop that pass what is metal in places. Cut-outs are decided before, in [`query`].
 
 mod bump;
 pub(super) mod forced;
@@ -24,8 +24,8 @@ use crate::trace::Hit;
 
 /// How wide a ray is where it begins, and how much wider it becomes along a unit of its way: what of a picture it sees at once.
 ///
-/// T. Akenine-Moller and others, "Texture Level of Detail Strategies for Real-Time Ray Tracing", Ray Tracing Gems, 2019, section 20.3.4, without the
-/// curvature of surfaces.
+/// T. Akenine-Moller and others, "Texture Level of Detail Strategies for Real-Time Ray Tracing", Ray Tracing Gems, 2019, section
+/// 20.3.4, without the curvature of surfaces.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Cone {
     pub width: f64,
@@ -127,8 +127,8 @@ impl Detail {
     }
 }
 
-/// The share of light that passes straight through a hit, for shadows: the material's, unless a picture says that it is metal in places. Shadow rays have no width:
-/// the picture is looked up in its largest size.
+/// The share of light that passes straight through a hit, for shadows: the material's, unless a picture says that it is metal in
+/// places. Shadow rays have no width: the picture is looked up in its largest size.
 ///
 /// # Errors
 /// Those of the query.
@@ -158,8 +158,9 @@ fn share(numbers: Option<[f64; 4]>, channel: usize, range: Option<[f64; 2]>) -> 
     numbers.map_or(1.0, |numbers| numbers[channel].max(least).min(most))
 }
 
-/// The terms of a material at texture coordinates; `level` says in which size a picture is looked up. Where a triangle has no coordinates, colours are not looked up,
-/// and roughness and metalness are those of its smallest size, the mean: so they are between its least and its greatest number wherever a ray may go.
+/// The terms of a material at texture coordinates; `level` says in which size a picture is looked up. Where a triangle has no
+/// coordinates, colours are not looked up, and roughness and metalness are those of its smallest size, the mean: so they are
+/// between its least and its greatest number wherever a ray may go.
 fn local_terms<Q: RayQuery>(
     maps: &MaterialMaps,
     query: &mut SurfaceQuery<'_, Q>,

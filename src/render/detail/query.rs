@@ -178,8 +178,8 @@ impl<'s, Q: RayQuery> SurfaceQuery<'s, Q> {
         self.after.push(after);
     }
 
-    /// Tells `goes_on` the next hit of each ray on its way, if there is one, and whether it is cut out; behind a hit of which it gives true, the ray
-    /// goes on.
+    /// Tells `goes_on` the next hit of each ray on its way, if there is one, and whether it is cut out; behind a hit of which it
+    /// gives true, the ray goes on.
     fn walk(&mut self, mut goes_on: impl FnMut(u32, Option<&Hit>, bool) -> bool) -> Result<(), TraceError> {
         while !self.places.is_empty() {
             let count = self.places.len();

@@ -10,9 +10,9 @@ fn segment(x: f64) -> f64 {
     (x.acos() - x * (1.0 - x * x).sqrt()) / std::f64::consts::PI
 }
 
-/// An edge out of focus. A ray through the lens at `l` that meets the plane of focus, at distance `f`, at `x` is at `x d / f + l (1 - d / f)`
-/// at distance `d`. So of the edge of a half plane there, a point at `x` of the plane of focus sees the share of the lens beyond
-/// `x / (r |f - d| / d)`: a circle of confusion of that radius.
+/// An edge out of focus. A ray through the lens at `l` that meets the plane of focus, at distance `f`, at `x` is at
+/// `x d / f + l (1 - d / f)` at distance `d`. So of the edge of a half plane there, a point at `x` of the plane of focus sees the
+/// share of the lens beyond `x / (r |f - d| / d)`: a circle of confusion of that radius.
 #[test]
 fn an_edge_is_blurred_over_the_circle_of_confusion() {
     const SIZE: [u32; 2] = [64, 16];

@@ -183,8 +183,8 @@ fn effects_left_out_load_no_block() {
     assert_eq!(primary_only, 1);
 }
 
-/// Three storeys of many small tiles: a floor (material 0), a ceiling (1) and a basement (2). The middle of the floor is seen at a slant, so that what
-/// leaves it meets blocks that the camera does not.
+/// Three storeys of many small tiles: a floor (material 0), a ceiling (1) and a basement (2). The middle of the floor is seen at a
+/// slant, so that what leaves it meets blocks that the camera does not.
 fn storeys(floor: MaterialRecord) -> Mesh {
     const STEPS: i32 = 24;
     let mut mesh = Mesh::new([floor, matt(0.5), matt(0.5)]);
@@ -197,8 +197,8 @@ fn storeys(floor: MaterialRecord) -> Mesh {
     mesh
 }
 
-/// Which blocks an effect makes rays reach: more with it, and without it just those of the same geometry in a scene that has no cause of it: no lamp,
-/// no material but matt ones, no lens.
+/// Which blocks an effect makes rays reach: more with it, and without it just those of the same geometry in a scene that has no
+/// cause of it: no lamp, no material but matt ones, no lens.
 #[test]
 fn an_effect_left_out_touches_no_block_and_reads_no_page_and_no_tile() {
     let directory = tempfile::tempdir().unwrap();

@@ -101,7 +101,8 @@ impl PartBook {
         (TileCells { tile: cells.tile, cells: fresh }, losses)
     }
 
-    /// Gives `count` of nobody's cells (at least one, if there is one) to `owner`, from the cell number `from` on along the curve, which goes round. Each tile comes once.
+    /// Gives `count` of nobody's cells (at least one, if there is one) to `owner`, from the cell number `from` on along the curve,
+    /// which goes round. Each tile comes once.
     pub fn give(&mut self, owner: u32, from: u64, count: u64) -> Vec<TileCells> {
         let per_tile = u64::from(self.grid.cells_per_tile());
         let start = TileId((from / per_tile).min(u64::from(self.grid.tile_count()) - 1) as u32);

@@ -61,7 +61,8 @@ pub struct PartRest {
     pub cells_leased: u64,
     /// Its workers.
     pub workers: u32,
-    /// Expected work of the cells that nobody has begun with, in the unit of [`Spent::work`](crate::schedule::Spent::work); 0 if nothing is known.
+    /// Expected work of the cells that nobody has begun with, in the unit of [`Spent::work`](crate::schedule::Spent::work); 0 if
+    /// nothing is known.
     pub work: f64,
     /// Work per second of all its workers; 0 if nothing is known.
     pub speed: f64,

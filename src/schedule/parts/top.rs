@@ -111,7 +111,8 @@ impl PartScheduler {
         self.book.grid()
     }
 
-    /// A sub-coordinator takes part from now on: it has no part yet, and so many workers. It need not ask for its first part. Telling it twice does nothing.
+    /// A sub-coordinator takes part from now on: it has no part yet, and so many workers. It need not ask for its first part.
+    /// Telling it twice does nothing.
     pub fn join(&mut self, id: SubCoordinatorId, workers: u32, now: Duration) {
         self.advance(now);
         if self.slots.contains_key(&id) {

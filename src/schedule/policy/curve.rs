@@ -143,8 +143,8 @@ impl CurvePolicy {
         true
     }
 
-    /// Of the pieces that are nearly as large as the largest, the one whose blocks the worker most likely holds, if that is known; among equals,
-    /// the one nearest to where it was: it holds blocks of its neighbourhood.
+    /// Of the pieces that are nearly as large as the largest, the one whose blocks the worker most likely holds, if that is known;
+    /// among equals, the one nearest to where it was: it holds blocks of its neighbourhood.
     fn large_and_likely(&self, own: u32, view: &View<'_>) -> Option<u32> {
         const LOOKED_AT: usize = 32;
         let own_end = self.pieces[own as usize].end;

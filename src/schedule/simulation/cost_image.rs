@@ -7,9 +7,9 @@ use crate::units::TileId;
 
 /// Seconds for the work that counters stand for, on one machine.
 ///
-/// The defaults are a least-squares fit to the CPU times of parts of two scenes at 2.5 GHz, one ray at a time; parts differ from them by 17 % (root mean square;
-/// `docs/results/cluster-simulation.md`). Triangle tests go with box tests so closely that the fit cannot tell them apart. What matters to a
-/// scheduler is how costs compare, not how large they are.
+/// The defaults are a least-squares fit to the CPU times of parts of two scenes at 2.5 GHz, one ray at a time; parts differ from
+/// them by 17 % (root mean square; `docs/results/cluster-simulation.md`). Triangle tests go with box tests so closely that the fit
+/// cannot tell them apart. What matters to a scheduler is how costs compare, not how large they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CostModel {
     /// For each ray.
@@ -58,8 +58,8 @@ impl CostImage {
         CostImage { grid, seconds: Vec::new(), starts: vec![0], accesses: Vec::new(), blocks }
     }
 
-    /// Adds the next cell: what it costs with all blocks in memory, and the blocks that it enters, in order. Of a block entered again and again without another
-    /// between, once is enough.
+    /// Adds the next cell: what it costs with all blocks in memory, and the blocks that it enters, in order. Of a block entered
+    /// again and again without another between, once is enough.
     pub fn push(&mut self, seconds: f64, accesses: impl IntoIterator<Item = u32>) {
         self.seconds.push(seconds as f32);
         let blocks = self.blocks.len() as u32;

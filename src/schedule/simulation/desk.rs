@@ -1,5 +1,5 @@
-//! What coordinators of both levels and their simulations have in common: events in the order of time, and a machine that serves one message
-//! after the other.
+//! What coordinators of both levels and their simulations have in common: events in the order of time, and a machine that serves
+//! one message after the other.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};

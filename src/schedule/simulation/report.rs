@@ -41,7 +41,8 @@ pub struct SimulationReport {
     pub coordinator_load: f64,
     /// Part of the time that the busiest sub-coordinator was busy with messages; 0 if there are none.
     pub sub_coordinator_load: f64,
-    /// The scheduler's own account; with two levels, sums over all schedulers of sub-coordinators, but cells and repeated cells as the top counts them.
+    /// The scheduler's own account; with two levels, sums over all schedulers of sub-coordinators, but cells and repeated cells as
+    /// the top counts them.
     pub schedule: ScheduleProgress,
 }
 

@@ -155,7 +155,8 @@ fn two_levels(
     simulate_two_levels(costs, model, options, workers, level).unwrap()
 }
 
-/// With so many workers one coordinator is busy all the time; under sub-coordinators the picture takes half as long, and the top has a tenth of the messages.
+/// With so many workers one coordinator is busy all the time; under sub-coordinators the picture takes half as long, and the top
+/// has a tenth of the messages.
 #[test]
 fn sub_coordinators_take_the_load() {
     let costs = hill(1024, 20e-3);

@@ -21,7 +21,8 @@ pub struct SecondLevel {
     pub parts: PartOptions,
     /// What the connection of each carries in each direction, to its workers and to the top together.
     pub bytes_per_second: f64,
-    /// Sub-coordinators that vanish: when, and which. They are given up as late as workers are; then their workers go to the others in turn.
+    /// Sub-coordinators that vanish: when, and which. They are given up as late as workers are; then their workers go to the others
+    /// in turn.
     pub losses: Vec<(f64, u32)>,
 }
 
@@ -33,10 +34,9 @@ impl SecondLevel {
     }
 }
 
-/// Renders the image of `costs` on `workers` simulated machines under sub-coordinators: a real
-/// [`PartScheduler`] at the top and a real [`SubScheduler`] with `options` (see
-/// [`SchedulerOptions::for_sub_coordinator`]) for each. Every message costs what it costs one coordinator; of a report, each tile counts as a decision. The model's
-/// relays are not used. Exactly repeatable.
+/// Renders the image of `costs` on `workers` simulated machines under sub-coordinators: a real [`PartScheduler`] at the top and a
+/// real [`SubScheduler`] with `options` (see [`SchedulerOptions::for_sub_coordinator`]) for each. Every message costs what it costs
+/// one coordinator; of a report, each tile counts as a decision. The model's relays are not used. Exactly repeatable.
 ///
 /// # Errors
 /// [`ScheduleError::Option`] for options that make no sense, or if every worker or every sub-coordinator is lost before the end.

@@ -102,8 +102,8 @@ fn what_cannot_be_is_refused() {
     assignment(scheduler.request(stranger, now).unwrap());
 }
 
-/// Three workers on a row of tiles, a third each. The first is through when the others have five tiles left; the last one's tiles need the blocks that
-/// the first one holds, those of the neighbour need others.
+/// Three workers on a row of tiles, a third each. The first is through when the others have five tiles left; the last one's tiles
+/// need the blocks that the first one holds, those of the neighbour need others.
 #[test]
 fn an_idle_worker_goes_where_its_blocks_are_needed() {
     let taken_over = |piece_choice| {

@@ -1,5 +1,5 @@
-//! Two levels, messages between them on their way for any time, sub-coordinators and workers lost at any time: every cell is new once, none is
-//! lost, the render ends.
+//! Two levels, messages between them on their way for any time, sub-coordinators and workers lost at any time: every cell is new
+//! once, none is lost, the render ends.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;

@@ -1,8 +1,8 @@
 //! The one thread that calls MPI.
 //!
-//! MPI has no way to sleep until a message comes, and its blocking calls burn a core. So this thread asks and sleeps in turn, for an
-//! eighth of the time since something happened last, and only after 60 µs: an answer that takes a millisecond is found within about 1.2, and a quiet
-//! node asks 250 times a second.
+//! MPI has no way to sleep until a message comes, and its blocking calls burn a core. So this thread asks and sleeps in turn, for
+//! an eighth of the time since something happened last, and only after 60 µs: an answer that takes a millisecond is found within
+//! about 1.2, and a quiet node asks 250 times a second.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::mpsc::Sender;
