@@ -279,6 +279,15 @@ fn run() -> Result<bool, Failure> {
     let settings = RenderSettings::new(size, size);
     let threads = Threads::Count(2);
     let mut all = subjects()?;
+    let names: Vec<&str> = all.iter().map(|found| found.name).collect();
+    if !names.iter().any(|name| name.starts_with(scene)) {
+        return Err(format!("--scene: none begins with \"{scene}\"; there are {}", names.join(", ")).into());
+    }
+    if let Some(metric) =
+        metric.filter(|metric| !["rmse", "max", "flip"].iter().any(|name| name.eq_ignore_ascii_case(metric)))
+    {
+        return Err(format!("--metric: rmse, max or flip, not \"{metric}\"").into());
+    }
     all.retain(|found| found.name.starts_with(scene));
     println!(
         "| scene | goal | verdict | error reached | certified | CPU s | % to choose / render / check | CPU time and rays beside the best by hand (its error) |"

@@ -21,9 +21,9 @@ pub struct SamplingCheck {
     pub pixels: u32,
     /// Samples that took.
     pub samples: u64,
-    /// The root mean square error that they show, over what half differences say. Above 1 where pixels stopped because their samples
-    /// happened to agree; below 1 where half differences are too large, as those of stratified samples are; infinite where all pixels have single
-    /// samples, which have no halves.
+    /// The root mean square error that they show, over what half differences say. Above 1 where pixels stopped because their
+    /// samples happened to agree; below 1 where half differences are too large, as those of stratified samples are; infinite where
+    /// all pixels have single samples, which have no halves.
     pub bias: f64,
 }
 

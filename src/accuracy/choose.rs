@@ -43,7 +43,8 @@ impl Job<'_, '_> {
         let mut cut_before = f64::INFINITY;
         for _ in 0..LOOKS_MAX {
             let look = self.look(metric, candidate, &pixels)?;
-            // In FLIP noise hides what is cut off, and the other way round, nearly as in RMSE; what its filters make of single pixels is too much anyway.
+            // In FLIP noise hides what is cut off, and the other way round, nearly as in RMSE; what its filters make of single
+            // pixels is too much anyway.
             let of = if metric == Metric::Flip { Metric::Rmse } else { metric };
             let room = sampling_room(of, bound, look.cut) / bound;
             let price = look.rays * libm::pow(room, samples_power);

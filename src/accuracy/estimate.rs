@@ -92,8 +92,9 @@ impl MeanSquare {
         MeanSquare { value: sum / count, upper: upper / count }
     }
 
-    /// From what square errors of pixels are thought to be, and the chances that they would have in a check: what is to be expected of the
-    /// check of a picture of `pixels_total` pixels. Its margin, and two deviations of what is thought, as another certificate has its price.
+    /// From what square errors of pixels are thought to be, and the chances that they would have in a check: what is to be expected
+    /// of the check of a picture of `pixels_total` pixels. Its margin, and two deviations of what is thought, as another
+    /// certificate has its price.
     pub fn expected(probed: &[(f64, f64)], pixels_total: u64, confidence: f64) -> MeanSquare {
         let count = probed.len().max(1) as f64;
         let (mut sum, mut squares, mut drawn, mut cubes) = (0.0, 0.0, 0.0, 0.0);
@@ -165,7 +166,8 @@ fn flip(
     let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
     let picture = Seen::of(&means, width);
     drop(means);
-    // With noise as large as it may be; twice, with signs that are independent: maps that differ as that of the error will differ from them.
+    // With noise as large as it may be; twice, with signs that are independent: maps that differ as that of the error will differ
+    // from them.
     let maps = [Signs::Kept, Signs::Drawn]
         .map(|signs| error_map_bound(&Seen::of(&noisy(pixels, squares.upper, signs), width), &picture));
     let most = 0.5 * (mean(&maps[0]) + mean(&maps[1]));
@@ -203,8 +205,9 @@ enum Signs {
     Drawn,
 }
 
-/// The picture with noise of a mean square, and without what was cut off, which is missing everywhere. The noise is the half differences. What
-/// they lack in square goes to pixels by the square of their deviations: there, the samples may all have been on one side.
+/// The picture with noise of a mean square, and without what was cut off, which is missing everywhere. The noise is the half
+/// differences. What they lack in square goes to pixels by the square of their deviations: there, the samples may all have been on
+/// one side.
 fn noisy(pixels: &[Sampled], mean_square: f64, signs: Signs) -> Vec<[f32; 3]> {
     let count = pixels.len().max(1) as f64;
     let halves = pixels.iter().map(Sampled::square).sum::<f64>() / count;
@@ -251,10 +254,10 @@ pub(super) fn cut_off(metric: Metric, lost: impl ExactSizeIterator<Item = f64>) 
 /// The whole error, of which sampling makes at most `sampling` and cutting off at most `cut`: for FLIP, whose estimate holds both,
 /// `sampling`.
 ///
-/// Cutting off takes light away from each pixel, the same whatever the samples, and sampling adds noise without a bias. So in the mean over a picture
-/// their squares add up, and not they: `|n - b|^2 = |n|^2 + |b|^2 - 2 n b`, where `n b` has the mean 0 and, as pixels are independent of
-/// each other, at most the variance `9 sum B^2 s^2` for what pixels lack, `B`, and their deviations, `s`, in any of three channels. It is
-/// allowed [`CROSS_QUANTILE`] deviations.
+/// Cutting off takes light away from each pixel, the same whatever the samples, and sampling adds noise without a bias. So in the
+/// mean over a picture their squares add up, and not they: `|n - b|^2 = |n|^2 + |b|^2 - 2 n b`, where `n b` has the mean 0 and, as
+/// pixels are independent of each other, at most the variance `9 sum B^2 s^2` for what pixels lack, `B`, and their deviations, `s`,
+/// in any of three channels. It is allowed [`CROSS_QUANTILE`] deviations.
 fn together(metric: Metric, sampling: f64, cut: f64, pixels: &[Sampled], pixels_total: u64) -> f64 {
     match metric {
         Metric::Flip => sampling,

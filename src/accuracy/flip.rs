@@ -140,8 +140,7 @@ fn features(luminance: &[f64], width: usize) -> Vec<[f64; 2]> {
     let smooth = signed_parts_to_one(kernel(&|_| 1.0));
     let edge = signed_parts_to_one(kernel(&|x| -x));
     let point = signed_parts_to_one(kernel(&|x| x * x - 1.0));
-    let height = luminance.len() / width;
-    let filtered = |plane: &[f64], axis: Axis, kernel: &[f64]| filter(plane, width, height, axis, kernel);
+    let filtered = |plane: &[f64], axis: Axis, kernel: &[f64]| filter(plane, width, axis, kernel);
     let rows = filtered(luminance, Axis::Rows, &smooth);
     let strength = |kernel: &[f64]| -> Plane {
         let across = filtered(&filtered(luminance, Axis::Rows, kernel), Axis::Columns, &smooth);
@@ -180,9 +179,8 @@ fn signed_parts_to_one(kernel: Vec<f64>) -> Vec<f64> {
 
 /// Filters rows, then columns, with a kernel of odd length. The border is repeated outward.
 fn separable(plane: &[f64], width: usize, kernel: &[f64]) -> Plane {
-    let height = plane.len() / width;
-    let rows = filter(plane, width, height, Axis::Rows, kernel);
-    filter(&rows, width, height, Axis::Columns, kernel)
+    let rows = filter(plane, width, Axis::Rows, kernel);
+    filter(&rows, width, Axis::Columns, kernel)
 }
 
 /// What a filter runs along.
@@ -193,15 +191,14 @@ enum Axis {
 }
 
 /// Filters along one axis. The border is repeated outward. Sums are the same bit for bit, whatever instructions there are.
-fn filter(plane: &[f64], width: usize, height: usize, axis: Axis, kernel: &[f64]) -> Plane {
-    dispatch(SimdLevel::best(), Filter { plane, width, height, axis, kernel })
+fn filter(plane: &[f64], width: usize, axis: Axis, kernel: &[f64]) -> Plane {
+    dispatch(SimdLevel::best(), Filter { plane, width, axis, kernel })
 }
 
 /// A filter along one axis, for the instructions that there are.
 struct Filter<'f> {
     plane: &'f [f64],
     width: usize,
-    height: usize,
     axis: Axis,
     kernel: &'f [f64],
 }
@@ -214,7 +211,8 @@ impl AnyOperation for Filter<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) -> Plane {
-        let Filter { plane, width, height, axis, kernel } = self;
+        let Filter { plane, width, axis, kernel } = self;
+        let height = plane.len() / width;
         let radius = kernel.len() / 2;
         let mut filtered = vec![0.0; plane.len()];
         let mut padded = vec![0.0; width + 2 * radius];
@@ -363,7 +361,7 @@ mod tests {
                     })
                 };
                 let expected: Plane = (0..plane.len()).map(sum).collect();
-                assert_eq!(filter(&plane, width, height, axis, &kernel), expected, "{width} x {height}");
+                assert_eq!(filter(&plane, width, axis, &kernel), expected, "{width} x {height}");
             }
         }
     }

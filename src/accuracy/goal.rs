@@ -86,7 +86,7 @@ pub struct GoalProgress {
     /// 0 while the knobs are chosen, then the number of the picture that is being made: 1, and more if too much was cut off of the first to
     /// keep the goal.
     pub attempt: u32,
-    /// How far the step is that the picture is in; all zero while the knobs are chosen. A picture to an error goal takes several steps, each
-    /// over all of it.
+    /// How far the step is that the picture is in; all zero while the knobs are chosen. A picture to an error goal takes several
+    /// steps, each over all of it.
     pub progress: Progress,
 }

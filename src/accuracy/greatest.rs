@@ -30,8 +30,9 @@ impl Deviations {
         Deviations { counts, greatest }
     }
 
-    /// A limit that no error is above but with the probability `chance`, if each of these pixels stands for `share` of those of the picture, and none has a
-    /// deviation above `most`. With `most` far below the greatest it is too low, as small deviations were left out: good for aiming only.
+    /// A limit that no error is above but with the probability `chance`, if each of these pixels stands for `share` of those of the
+    /// picture, and none has a deviation above `most`. With `most` far below the greatest it is too low, as small deviations were
+    /// left out: good for aiming only.
     pub fn limit(&self, chance: f64, share: f64, most: f64) -> f64 {
         if self.greatest == 0.0 || self.greatest.is_infinite() {
             return self.greatest;

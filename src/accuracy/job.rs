@@ -70,8 +70,9 @@ impl Job<'_, '_> {
         u64::from(self.settings.width) * u64::from(self.settings.height)
     }
 
-    /// Confidence of what the next certificate estimates. The first one that says that an error goal is kept ends the search, so the chance of
-    /// being wrong is shared among all that there may be: three quarters for the first, then an eighth, and half as much each time.
+    /// Confidence of what the next certificate estimates. The first one that says that an error goal is kept ends the search, so
+    /// the chance of being wrong is shared among all that there may be: three quarters for the first, then an eighth, and half as
+    /// much each time.
     pub fn confidence(&self) -> f64 {
         let is_search = matches!(self.options.goal, Goal::MaxError { .. });
         let share = match self.looks {

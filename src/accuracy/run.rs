@@ -1,5 +1,6 @@
 //! From a goal to a picture and its certificate.
 
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalSeconds, Verdict};
@@ -7,7 +8,7 @@ use super::check::{self, SamplingCheck};
 use super::estimate::{MeanSquare, Sampled, cut_off, estimate};
 use super::job::{FIRST_SAMPLES, GoalProgressFn, Job, PIXEL_CONFIDENCE, PROBE_PIXELS, ask};
 use super::time::{self, Steering};
-use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling, TileThreshold, render_with_knobs};
+use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling};
 use crate::LazyOctree;
 use crate::budget::MemoryBudget;
 use crate::compile::{Control, Threads};
@@ -20,7 +21,7 @@ use crate::render::{
     normal_quantile, resample, worker_count,
 };
 use crate::scene::{EffectPlan, Scene};
-use crate::units::Bytes;
+use crate::units::{Bytes, TileId};
 
 /// Tiles for a time goal: each is about the error of the time.
 const STEERED_TILES_MIN: usize = 200;
@@ -36,8 +37,9 @@ pub struct GoalImage {
     pub certificate: Certificate,
 }
 
-/// Makes a picture to the goal of `options`, with size, filter, seed, effects and tile size of `settings`; an error
-/// goal sets contribution bound and samples, a time goal samples and, for small pictures, smaller tiles, and [`Goal::Exact`] the contribution bound.
+/// Makes a picture to the goal of `options`, with size, filter, seed, effects and tile size of `settings`; an error goal sets
+/// contribution bound and samples, a time goal samples and, for small pictures, smaller tiles, and [`Goal::Exact`] the contribution
+/// bound.
 ///
 /// If the goal cannot be met, the best picture comes back and its certificate says why it is not met. The clock has a say
 /// only in time goals; all that it chose stands in the knobs.
@@ -133,8 +135,9 @@ pub(super) fn with_certificate(
     let mut progress = |state: GoalProgress| progress(state);
     let mut job = Job::new(octree, scene, settings, &options, threads, budget, &mut progress);
     let knobs = job.knobs(Sampling::Fixed { samples: settings.samples_per_pixel });
-    let (image, _) = job.picture(&knobs, None)?;
-    let certificate = job.certificate(&image, knobs, None)?;
+    let renderer = job.renderer(&knobs)?;
+    let image = job.picture(&renderer, None)?;
+    let certificate = job.certificate(&image, knobs, Evidence::of(&renderer))?;
     Ok(GoalImage { image, certificate })
 }
 
@@ -147,14 +150,39 @@ pub(super) enum Known {
     Cancelled,
 }
 
+/// What a certificate goes by beside the picture.
+pub(super) struct Evidence<'e, 'r> {
+    /// One with the picture's settings, for further samples.
+    pub renderer: &'e Renderer<'r>,
+    /// What the film says of each pixel, if that was asked for already.
+    pub pixels: Option<Rc<Vec<Sampled>>>,
+    /// What a check has said of the picture.
+    pub known: Option<Known>,
+}
+
+impl<'e, 'r> Evidence<'e, 'r> {
+    /// No more than the picture itself.
+    fn of(renderer: &'e Renderer<'r>) -> Evidence<'e, 'r> {
+        Evidence { renderer, pixels: None, known: None }
+    }
+}
+
+impl<'a> Job<'a, '_> {
+    /// For pictures with these knobs.
+    pub(super) fn renderer(&self, knobs: &Knobs) -> Result<Renderer<'a>, RenderError> {
+        Renderer::new(self.octree, self.scene, &knobs.settings(&self.settings), self.budget)
+    }
+}
+
 impl Job<'_, '_> {
     fn exact(&mut self) -> Result<GoalImage, RenderError> {
         let knobs = Knobs {
             contribution_bound: 0.0,
             ..self.knobs(Sampling::Fixed { samples: self.settings.samples_per_pixel })
         };
-        let (image, _) = self.picture(&knobs, None)?;
-        let mut certificate = self.certificate(&image, knobs, None)?;
+        let renderer = self.renderer(&knobs)?;
+        let image = self.picture(&renderer, None)?;
+        let mut certificate = self.certificate(&image, knobs, Evidence::of(&renderer))?;
         if certificate.verdict != Verdict::Cancelled {
             let tier = self.octree.tier();
             certificate.verdict = if !matches!(tier, Tier::Certified | Tier::Exact) {
@@ -226,20 +254,21 @@ impl Job<'_, '_> {
 
         let mut knobs = self.knobs(self.adaptive(FIRST_SAMPLES, PIXEL_CONFIDENCE, 0.0));
         knobs.contribution_bound = self.settings.contribution_bound;
-        let image = if left * rate < least {
+        let steering = if left * rate < least {
             // Too little time to look at errors: the most samples that fit, the same everywhere.
             let first = f64::from(FIRST_SAMPLES);
             let samples = (left * rate / least * first).floor().clamp(1.0, first - 1.0) as u32;
             knobs.sampling = Sampling::Fixed { samples };
-            self.picture(&knobs, None)?.0
+            None
         } else {
-            let (image, thresholds) = self.picture(&knobs, Some(steering))?;
-            if let Sampling::Adaptive { thresholds: recorded, .. } = &mut knobs.sampling {
-                *recorded = thresholds;
-            }
-            image
+            Some(steering)
         };
-        let mut certificate = self.certificate(&image, knobs, None)?;
+        let renderer = self.renderer(&knobs)?;
+        let image = self.picture(&renderer, steering.as_ref())?;
+        if let (Sampling::Adaptive { thresholds, .. }, Some(steering)) = (&mut knobs.sampling, steering) {
+            *thresholds = steering.into_thresholds();
+        }
+        let mut certificate = self.certificate(&image, knobs, Evidence::of(&renderer))?;
         if certificate.verdict != Verdict::Cancelled {
             certificate.verdict = if certificate.seconds.total <= 1.1 * limit.as_secs_f64() {
                 Verdict::Met
@@ -254,49 +283,31 @@ impl Job<'_, '_> {
         Ok(GoalImage { image, certificate })
     }
 
-    /// Makes a picture and adds what it took; with `steering`, to the clock, and what was chosen comes back.
+    /// Makes a picture and adds what it took; with `steering`, to the clock.
     fn picture(
         &mut self,
-        knobs: &Knobs,
-        steering: Option<Steering>,
-    ) -> Result<(RenderedImage, Vec<TileThreshold>), RenderError> {
+        renderer: &Renderer<'_>,
+        steering: Option<&Steering>,
+    ) -> Result<RenderedImage, RenderError> {
         let begun = Instant::now();
         let attempt = self.counters.attempts + 1;
         let told = &mut *self.progress;
         let mut progress = |progress: Progress| told(GoalProgress { attempt, progress });
-        let image = match &steering {
-            None => render_with_knobs(
-                self.octree,
-                self.scene,
-                &self.settings,
-                knobs,
-                self.threads,
-                self.budget,
-                &mut progress,
-            )?,
-            Some(steering) => {
-                let renderer =
-                    Renderer::new(self.octree, self.scene, &knobs.settings(&self.settings), self.budget)?;
-                renderer.render_steered(
-                    self.threads,
-                    &|tile| Some(steering.threshold(tile)),
-                    &mut progress,
-                )?
-            }
-        };
+        let threshold = |tile: TileId| steering.map(|steering| steering.threshold(tile));
+        let image = renderer.render_steered(self.threads, &threshold, &mut progress)?;
         self.counters.attempts = attempt;
         self.counters.effects.merge(&image.report.effects);
         self.counters.trace.merge(&image.report.trace);
         self.seconds.rendering += begun.elapsed().as_secs_f64();
-        Ok((image, steering.map(Steering::into_thresholds).unwrap_or_default()))
+        Ok(image)
     }
 
-    /// Everything but whether the goal is met. `known`: what is known of the mean square error, if that was asked for already.
+    /// Everything but whether the goal is met.
     pub(super) fn certificate(
         &mut self,
         image: &RenderedImage,
         knobs: Knobs,
-        known: Option<Known>,
+        Evidence { renderer, pixels, known }: Evidence<'_, '_>,
     ) -> Result<Certificate, RenderError> {
         let begun = Instant::now();
         let is_whole = image.report.outcome == Outcome::Complete;
@@ -309,11 +320,19 @@ impl Job<'_, '_> {
             Sampling::Adaptive { .. } => true,
         };
         let is_known = is_known && is_whole && !statistics.is_empty();
-        let pixels = if is_known { sampled(&image.film) } else { Vec::new() };
-        let known = match known {
+        let pixels = match pixels {
+            Some(pixels) => pixels,
+            None if is_known => Rc::new(sampled(&image.film)),
+            None => Rc::default(),
+        };
+        let known = match (&knobs.sampling, known) {
             _ if !is_known => Known::Nothing,
-            Some(known) => known,
-            None => self.squares(image, &knobs, &pixels)?,
+            // What a check says is of samples that stop; of fixed ones the halves tell.
+            (Sampling::Fixed { .. }, _) => {
+                Known::Squares(MeanSquare::of_halves(&pixels, self.confidence()), None)
+            }
+            (_, Some(known)) => known,
+            (_, None) => self.check(renderer, image, &pixels)?,
         };
         let (estimates, check) = match known {
             Known::Squares(squares, check) => {
@@ -368,21 +387,6 @@ impl Job<'_, '_> {
     fn has_sampled_effects(&self) -> bool {
         EffectPlan::scan(self.scene, self.octree.model(), &self.settings.effect_options())
             .has_sampled_effects()
-    }
-
-    /// The mean square error that samples show: the picture's own, or further ones where these had a say in stopping.
-    fn squares(
-        &mut self,
-        image: &RenderedImage,
-        knobs: &Knobs,
-        pixels: &[Sampled],
-    ) -> Result<Known, RenderError> {
-        if matches!(knobs.sampling, Sampling::Fixed { .. }) {
-            return Ok(Known::Squares(MeanSquare::of_halves(pixels, self.confidence()), None));
-        }
-        let settings = knobs.settings(&self.settings);
-        let renderer = Renderer::new(self.octree, self.scene, &settings, self.budget)?;
-        self.check(&renderer, image, pixels)
     }
 
     /// The mean square error that further samples show, taken by a renderer with the picture's seed and contribution bound.

@@ -13,7 +13,7 @@ use super::estimate::{
 };
 use super::greatest::Deviations;
 use super::job::{FIRST_SAMPLES, Job, PIXEL_CONFIDENCE};
-use super::run::{GoalImage, Known, sampled};
+use super::run::{Evidence, GoalImage, Known, sampled};
 use super::{Certificate, GoalProgress, Knobs, Metric, Sampling, Verdict};
 use crate::error::RenderError;
 use crate::render::{Outcome, Progress, RenderedImage, Renderer, normal_quantile};
@@ -119,8 +119,7 @@ impl Job<'_, '_> {
         };
         let samples_first = FIRST_SAMPLES;
         let knobs = Knobs { contribution_bound, ..self.knobs(self.adaptive(samples_first, confidence, 0.0)) };
-        let mut renderer =
-            Renderer::new(self.octree, self.scene, &knobs.settings(&self.settings), self.budget)?;
+        let mut renderer = self.renderer(&knobs)?;
         renderer.keep_draft(self.threads)?;
         self.counters.attempts += 1;
         let mut steps = Steps {
@@ -183,8 +182,8 @@ impl Job<'_, '_> {
         }
     }
 
-    /// The same few samples everywhere, if they are enough: nothing stops early then. `None` if they are not, or in the greatest error of many pixels, which is not
-    /// known from so few.
+    /// The same few samples everywhere, if they are enough: nothing stops early then. `None` if they are not, or in the greatest
+    /// error of many pixels, which is not known from so few.
     fn few_samples(&mut self, steps: &mut Steps<'_, '_>) -> Result<Option<Certificate>, RenderError> {
         if steps.metric == Metric::Max {
             return Ok(None);
@@ -310,17 +309,8 @@ impl Job<'_, '_> {
         let (knobs, pixels) = (self.knobs_of(steps), steps.pixels());
         let Some(image) = &mut steps.image else { return Err(RenderError::Cancelled) };
         image.report.samples_per_pixel = steps.fixed.unwrap_or(self.options.samples_max);
-        // What a check says is of samples that stop; of fixed ones the halves tell.
-        let known = match (steps.fixed, steps.known) {
-            (None, None) if image.report.outcome == Outcome::Complete => {
-                let begun = Instant::now();
-                let known = self.check(steps.renderer, image, &pixels)?;
-                self.seconds.checking += begun.elapsed().as_secs_f64();
-                Some(known)
-            }
-            (fixed, known) => known.filter(|_| fixed.is_none()),
-        };
-        let mut certificate = self.certificate(image, knobs, known)?;
+        let evidence = Evidence { renderer: steps.renderer, pixels: Some(pixels), known: steps.known };
+        let mut certificate = self.certificate(image, knobs, evidence)?;
         self.looks += 1;
         if certificate.verdict != Verdict::Cancelled {
             let reached = certificate.error_bound(steps.metric).unwrap_or(f64::INFINITY);
@@ -415,8 +405,8 @@ impl Job<'_, '_> {
 
 /// Square errors of pixels, in the order of their deviations.
 struct OpenPixels {
-    /// Of those that can go on, the greatest first: deviation, square errors of those before over their square deviations, and square errors of it
-    /// and those behind.
+    /// Of those that can go on, the greatest first: deviation, square errors of those before over their square deviations, and
+    /// square errors of it and those behind.
     pixels: Vec<(f64, f64, f64)>,
     /// Square errors of the others.
     others: f64,

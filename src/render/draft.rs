@@ -1,8 +1,9 @@
 //! A picture that goes on: what the samples of each pixel have added up to is kept, so that more can be added to them and none is taken
 //! again.
 //!
-//! Where a pixel stops is the first doubling at which its deviation is small enough. So a picture at a high threshold that goes on at a lower
-//! one ends where one does that was made at the lower one at once: bit for bit, as each pixel adds up its samples in their order (I2).
+//! Where a pixel stops is the first doubling at which its deviation is small enough. So a picture at a high threshold that goes on
+//! at a lower one ends where one does that was made at the lower one at once: bit for bit, as each pixel adds up its samples in
+//! their order (I2).
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -108,7 +109,7 @@ struct Row {
 }
 
 /// The least and the greatest sample of pixels, per channel.
-type Range = [DVec3; 2];
+type ColourRange = [DVec3; 2];
 
 impl Draft {
     /// Of a picture without samples, that so many threads work on.
@@ -131,15 +132,15 @@ impl Draft {
         })
     }
 
-    /// What [`Draft::new`] takes from the budget: the pixels, four rows of ranges while contrasts are measured, and for each thread a tile that
-    /// needs no more samples.
+    /// What [`Draft::new`] takes from the budget: the pixels, four rows of ranges while contrasts are measured, and for each thread
+    /// a tile that needs no more samples.
     pub fn bytes_needed(settings: &RenderSettings, threads: usize) -> Bytes {
         let (width, height) = (u64::from(settings.width), u64::from(settings.height));
         let tile = u64::from(settings.tile_size.min(settings.width))
             * u64::from(settings.tile_size.min(settings.height));
         let row =
             width * (size_of::<PixelState>() + size_of::<Shown>()) as u64 + size_of::<Mutex<Row>>() as u64;
-        let ranges = 4 * width * size_of::<Range>() as u64;
+        let ranges = 4 * width * size_of::<ColourRange>() as u64;
         let finished = size_of::<[f32; 3]>() + size_of::<PixelStatistics>() + size_of::<PixelCost>();
         Bytes(height * row + ranges + threads as u64 * tile * finished as u64)
     }
@@ -154,8 +155,8 @@ impl Draft {
         self.least.load(Ordering::Relaxed)
     }
 
-    /// Measures the contrast of each pixel with its neighbours ([`contrast`](super::tile_samples::contrast)); to be called when all have the
-    /// first samples of adaptive sampling, before any goes on alone.
+    /// Measures the contrast of each pixel with its neighbours ([`contrast`](super::tile_samples::contrast)); to be called when all
+    /// have the first samples of adaptive sampling, before any goes on alone.
     pub fn look_around(&self) {
         let [mut above, mut here, mut below] = [(); 3].map(|()| vec![NO_RANGE; self.width()]);
         let mut own = vec![NO_RANGE; self.width()];
@@ -177,8 +178,9 @@ impl Draft {
         self.rows.first().map_or(0, |row| row.lock().pixels.len())
     }
 
-    /// The range of each pixel of a row with its neighbours on either side; none for a row below the picture. `own`: room for those without.
-    fn ranges(&self, y: usize, own: &mut [Range], ranges: &mut [Range]) {
+    /// The range of each pixel of a row with its neighbours on either side; none for a row below the picture. `own`: room for those
+    /// without.
+    fn ranges(&self, y: usize, own: &mut [ColourRange], ranges: &mut [ColourRange]) {
         let Some(row) = self.rows.get(y) else { return ranges.fill(NO_RANGE) };
         for (own, pixel) in own.iter_mut().zip(&row.lock().pixels) {
             *own = pixel.blocks.range();
@@ -199,8 +201,8 @@ impl Draft {
         }
     }
 
-    /// Keeps what pixels of an area have now. `pixel` is asked for that of each place, row by row, and told how many samples it had; it gives nothing
-    /// for one that has no more.
+    /// Keeps what pixels of an area have now. `pixel` is asked for that of each place, row by row, and told how many samples it
+    /// had; it gives nothing for one that has no more.
     pub(super) fn write(&self, area: &Area, mut pixel: impl FnMut(u32, u32, u32) -> Option<PixelState>) {
         for y in 0..area.height {
             let mut row = self.rows[(area.y + y) as usize].lock();
@@ -262,8 +264,8 @@ impl Draft {
 }
 
 /// Of no pixel.
-const NO_RANGE: Range = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+const NO_RANGE: ColourRange = [DVec3::INFINITY, DVec3::NEG_INFINITY];
 
-fn together([low, high]: Range, [other_low, other_high]: Range) -> Range {
+fn together([low, high]: ColourRange, [other_low, other_high]: ColourRange) -> ColourRange {
     [low.min(other_low), high.max(other_high)]
 }
