@@ -30,7 +30,7 @@ index.html with plots (needs no network) and pictures of the differences.
     --out FOLDER        where the report goes (report)
     --size N            pixels per side (256)
     --reference N       samples per pixel of the reference (1024)
-    --reference-cut-off C   contribution bound of the reference (1e-6)
+    --reference-cut-off C   contribution bound of the reference (1e-9)
     --repetitions N     times each picture is made (3; combinations once)
     --threads N         threads, up to 8 (2); cost is their processor time together
     --quick             all small: shows that it works, not what it costs
@@ -58,7 +58,7 @@ fn accuracy_cost(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
         out: PathBuf::from("report"),
         size: 256,
         reference_samples: 1024,
-        reference_cut_off: 1e-6,
+        reference_cut_off: 1e-9,
         repetitions: 3,
         threads: 2,
         quick: false,
