@@ -21,6 +21,12 @@ const FETCHES_MAX: u64 = WATCHED_TRIANGLES / 64;
 /// Fewest triangles that are worth a sweep.
 const BATCH_TRIANGLES_MIN: u64 = 1 << 14;
 
+/// Triangles of a batch for each run of equal materials that it has room for: with shorter runs than that it is full sooner.
+const TRIANGLES_PER_RUN: u64 = 8;
+
+/// Material, first id and length of a run of triangles.
+type Run = (u16, u64, usize);
+
 /// Sees when looking up page by page goes wrong.
 #[derive(Debug, Default)]
 pub(super) struct FetchWatch {
@@ -46,8 +52,8 @@ impl FetchWatch {
 #[derive(Debug)]
 pub(super) struct Gather<P> {
     triangles: Vec<[u32; 3]>,
-    /// Material, first id and length of each run of `triangles`.
-    runs: Vec<(u16, u64, usize)>,
+    /// Those of `triangles`.
+    runs: Vec<Run>,
     points: Vec<P>,
     ranks: Ranks,
     capacity: usize,
@@ -64,7 +70,8 @@ impl<P: Point> Gather<P> {
         budget: &MemoryBudget,
         headroom: u64,
     ) -> Result<Gather<P>, BudgetError> {
-        let per_triangle = (size_of::<[u32; 3]>() + 3 * size_of::<P>()) as u64;
+        let per_run = (size_of::<Run>() as u64).div_ceil(TRIANGLES_PER_RUN);
+        let per_triangle = (size_of::<[u32; 3]>() + 3 * size_of::<P>()) as u64 + per_run;
         let ranks_bytes = Ranks::bytes_needed(vertex_count);
         let spare = budget.available().0.saturating_sub(headroom + ranks_bytes);
         let capacity = (spare / per_triangle).max(BATCH_TRIANGLES_MIN);
@@ -80,20 +87,23 @@ impl<P: Point> Gather<P> {
         })
     }
 
-    /// Takes as many of the triangles as fit and returns how many.
+    /// Takes as many of the triangles as fit and returns how many: none only if there are some already.
     pub(super) fn push(&mut self, triangles: &[[u32; 3]], material: u16, first_id: u64) -> usize {
         if self.triangles.capacity() == 0 {
             self.triangles.reserve_exact(self.capacity);
             self.points.reserve_exact(3 * self.capacity);
+            self.runs.reserve_exact(self.capacity / TRIANGLES_PER_RUN as usize);
         }
         let count = triangles.len().min(self.capacity - self.triangles.len());
-        self.triangles.extend_from_slice(&triangles[..count]);
+        let has_room = self.runs.len() < self.runs.capacity();
         match self.runs.last_mut() {
             Some((last, first, len)) if *last == material && *first + *len as u64 == first_id => {
                 *len += count
             }
+            _ if !has_room => return 0,
             _ => self.runs.push((material, first_id, count)),
         }
+        self.triangles.extend_from_slice(&triangles[..count]);
         count
     }
 }
@@ -255,5 +265,21 @@ mod tests {
             })
             .unwrap();
         assert_eq!(seen, members);
+    }
+
+    /// Each run takes memory; with a change of material at every triangle there are as many.
+    #[test]
+    fn a_batch_is_full_when_its_runs_are() {
+        let budget = MemoryBudget::new(Bytes::mib(2));
+        let mut gather = Gather::<[f32; 3]>::new(1000, &budget, 0).unwrap();
+        let room = gather.capacity / TRIANGLES_PER_RUN as usize;
+        let mut id = 0;
+        while gather.push(&[[0, 1, 2]], (id % 2) as u16, id) == 1 {
+            id += 1;
+        }
+        assert_eq!((id as usize, gather.triangles.len()), (room, room));
+        assert!(gather.runs.capacity() <= room + 1);
+        // The run at hand may go on.
+        assert_eq!(gather.push(&[[0, 1, 2]; 3], ((id - 1) % 2) as u16, id), 3);
     }
 }

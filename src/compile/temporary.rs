@@ -31,6 +31,11 @@ impl DiskQuota {
                 io::Error::new(io::ErrorKind::StorageFull, "the disk limit of this compile is used up")
             })
     }
+
+    /// Gives back what was taken and not used.
+    pub(super) fn give_back(&self, bytes: u64) {
+        self.left.fetch_add(bytes, Ordering::Relaxed);
+    }
 }
 
 /// An open file that is removed when dropped, unless it was published.

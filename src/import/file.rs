@@ -95,7 +95,7 @@ fn open(path: &Path, compressed: bool) -> Result<(Box<dyn Read>, Meter), ImportE
     {
         let (meter, counted) = Meter::compressed(file, total_bytes);
         let buffered = io::BufReader::with_capacity(1 << 16, counted);
-        Ok((Box::new(flate2::bufread::MultiGzDecoder::new(buffered)), meter))
+        Ok((Box::new(super::gzip::Members::new(buffered)), meter))
     }
     #[cfg(not(feature = "gzip"))]
     {

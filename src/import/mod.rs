@@ -16,6 +16,8 @@ mod feed;
 mod file;
 #[cfg(feature = "gltf")]
 pub(crate) mod gltf;
+#[cfg(feature = "gzip")]
+mod gzip;
 mod library;
 mod meter;
 mod mtl;

@@ -192,6 +192,10 @@ impl Text<'_, '_> {
                 facet.corners.push(self.vertex(position, is_kept, feed)?);
             }
             b"vertex" => return Err(self.error("`vertex` outside of a loop")),
+            b"outer" | b"facet" | b"endfacet" if facet.in_loop => {
+                let reason = format!("`{}` inside a loop: its `endloop` is missing", shown(&keyword));
+                return Err(self.error(reason));
+            }
             b"outer" => {
                 facet.in_loop = true;
                 facet.corners.clear();

@@ -121,6 +121,34 @@ fn a_hole_in_the_log_costs_what_is_behind_it() {
     }
 }
 
+/// Blocks are written before the head that names them: where the disk is full between the two, as where a run is killed there, no head
+/// stands before blocks that are not there, and what others have appended behind does not bring it to life.
+#[test]
+fn blocks_without_their_head_are_nothing() {
+    let expected = Expected::of(gears());
+    let (bytes, ends) = complete(&expected.mesh);
+    let place = Place::new();
+    let (start, end) = (ends[0] as usize, ends[1] as usize);
+    write_working(&place.output(), &bytes[..start]);
+    let last = CellId(ends.len() as u32 - 2);
+    let mut options = small();
+    options.compile.disk_limit = Some(Bytes(end as u64 - 1));
+    let model = open(&expected.mesh, &place.output(), &options, &budget()).unwrap();
+    assert!(model.report().was_reopened);
+    let error = model.cut_cell(last).unwrap_err();
+    assert!(matches!(error, CompileError::Write { .. }), "{error}");
+    drop(model);
+    let mut left = fs::read(LazyModel::working_path(place.output())).unwrap();
+    assert_eq!(left.len(), end, "the blocks are there");
+    assert!(left[start..start + 64].iter().all(|byte| *byte == 0), "and no head is");
+    left.extend_from_slice(&bytes[end..]);
+    write_working(&place.output(), &left);
+    let budget = budget();
+    let model = open(&expected.mesh, &place.output(), &small(), &budget).unwrap();
+    assert_eq!(model.report().cells_cut, 0);
+    assert_eq!(trace(&octree(&model, &budget, 1), &expected.rays).unwrap(), expected.answers);
+}
+
 /// Opens, traces and finishes; whatever does not fail must be right. Returns how far it came.
 fn right_or_refused(expected: &Expected, place: &Place, budget: &MemoryBudget) -> u32 {
     let model = open(&expected.mesh, &place.output(), &small(), budget).expect("a damaged file is made anew");

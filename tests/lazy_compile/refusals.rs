@@ -7,10 +7,12 @@ use outcrop::block::Codec;
 use outcrop::compile::{Compiler, Control, LazyModel, LazyOptions, PrecisionChoice};
 use outcrop::error::{CompileError, LoadError, TraceError};
 use outcrop::model::SourceRecord;
+use outcrop::octree::OctreeOptions;
 use outcrop::procedural::export::write_ply;
 use outcrop::procedural::{Gears, Tessellation};
+use outcrop::trace::{Answers, ClosestRequest, OnMissing, PoolOptions};
 use outcrop::units::{Bytes, CellId};
-use outcrop::{BlockSource, MemoryBudget};
+use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 
 use super::compiling::{Mesh, Place, Vertices};
 use super::{SOURCE, budget, eager, gears, octree, open, rays, small, trace};
@@ -93,6 +95,7 @@ fn a_first_pass_that_is_broken_off_leaves_nothing_that_opens() {
     let result = LazyModel::from_mesh(SOURCE, place.output(), &small(), &budget, go_on, emit);
     assert!(matches!(result, Err(CompileError::Cancelled)));
     assert_eq!(budget.used(), Bytes(0));
+    assert!(place.files().is_empty(), "{:?}", place.files());
     assert!(!open(&mesh, &place.output(), &small(), &budget).unwrap().report().was_reopened);
 }
 
@@ -116,6 +119,8 @@ fn a_full_disk_is_named_and_what_was_cut_stays() {
     fs::remove_file(LazyModel::working_path(place.output())).unwrap();
     let error = open(&mesh, &place.output(), &limited(cells / 2), &budget()).unwrap_err();
     assert!(matches!(error, CompileError::Write { .. }), "{error}");
+    // What is of no use does not keep the disk full.
+    assert!(place.files().is_empty(), "{:?}", place.files());
     // Room for them and for some that are cut.
     let budget = MemoryBudget::new(Bytes::mib(64));
     let model = open(&mesh, &place.output(), &limited(cells + (40 << 10)), &budget).unwrap();
@@ -134,6 +139,44 @@ fn a_full_disk_is_named_and_what_was_cut_stays() {
     let model = open(&mesh, &place.output(), &small(), &budget).unwrap();
     assert_eq!((model.report().was_reopened, model.report().cells_cut), (true, cut));
     assert_eq!(trace(&octree(&model, &budget, 1), &rays).unwrap(), answers);
+}
+
+/// Rays that wait go on through cells that cannot be cut: an error like any other.
+#[test]
+fn a_full_disk_is_named_to_rays_that_go_on() {
+    let (mesh, place) = (gears(), Place::new());
+    let rays = rays(&eager(&mesh, &small().compile), 400, 8);
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let mut options = small();
+    {
+        let model = open(&mesh, &place.output(), &options, &budget).unwrap();
+        options.compile.disk_limit = Some(Bytes(model.report().working_bytes + (40 << 10)));
+    }
+    let model = open(&mesh, &place.output(), &options, &budget).unwrap();
+    let source = Arc::clone(&model) as Arc<dyn BlockSource>;
+    let slots = OctreeOptions { slots_max: Some(2), ..Default::default() };
+    let octree = LazyOctree::open(source, &budget, slots).unwrap();
+    let mut errors = 0;
+    for ray in rays {
+        let mut pool = octree.ray_pool(PoolOptions { suspended: 100, ..PoolOptions::default() }).unwrap();
+        let mut answers = Answers::with_capacity(1);
+        let request = ClosestRequest { ray, after: None, tag: 0 };
+        if pool.closest_hits(&[request], OnMissing::Wait { weight: 1 }, &mut answers).is_err() {
+            continue;
+        }
+        let error = loop {
+            match pool.resume(&mut answers) {
+                Ok(true) => {}
+                Ok(false) => break None,
+                Err(error) => break Some(error),
+            }
+        };
+        if let Some(error) = error {
+            assert!(matches!(error, TraceError::Load(LoadError::Cut(_))), "{error}");
+            errors += 1;
+        }
+    }
+    assert!(errors > 0);
 }
 
 #[test]

@@ -82,6 +82,7 @@ impl Ending for KeepCells {
         self.working.write(header.materials.offset, &materials)?;
         // Last: before that the file is none. What a power cut may lose in spite of the order has checksums.
         self.working.write(0, &header.to_bytes())?;
+        self.working.keep();
         let contents = Contents::parse(header, &cells, &materials);
         // Read as it will be read again, so that what cannot be is not used either.
         let contents = contents.map_err(|error| CompileError::Limit { reason: error.to_string() })?;

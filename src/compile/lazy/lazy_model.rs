@@ -167,8 +167,8 @@ impl LazyModel {
     /// leave the compiled file. `progress` is called while the file is read.
     ///
     /// # Errors
-    /// [`CompileError`]; [`CompileError::Locked`] if the working file is in use. A pass that was broken off leaves a file that the
-    /// next one starts anew.
+    /// [`CompileError`]; [`CompileError::Locked`] if the working file is in use. A pass that fails leaves no file, and one that was killed
+    /// a file that the next one starts anew.
     pub fn open(
         input: impl AsRef<Path>,
         output: impl AsRef<Path>,
@@ -235,7 +235,7 @@ impl LazyModel {
         budget: &MemoryBudget,
     ) -> Result<Result<LazyModel, WorkingFile>, CompileError> {
         let quota = DiskQuota::new(options.compile.disk_limit.map(|limit| limit.0));
-        let working = WorkingFile::lock(output, quota)?;
+        let mut working = WorkingFile::lock(output, quota)?;
         let made_for =
             WorkingOptions { source, options: options_hash(&options.compile, options.cell_triangles) };
         let contents = match options.anew || source == SourceRecord::default() {
@@ -246,6 +246,7 @@ impl LazyModel {
             working.truncate(0)?;
             return Ok(Err(working));
         };
+        working.keep();
         working.count_existing(working.len()?)?;
         let seconds = PhaseSeconds::default();
         let mut model = LazyModel::assemble(

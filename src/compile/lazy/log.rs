@@ -1,7 +1,7 @@
 //! The log of refinements: each a cell that was cut, appended when it was.
 //!
 //! A place in the log is taken under a lock and written without one (I7), so records of different threads can be written at the same
-//! time, and a run that is killed may leave a hole. Replaying ends there: cells behind it are cut again, which gives the same blocks.
+//! time, and a run that is killed may leave a hole, or blocks without the head that belongs before them. Replaying ends there: cells behind it are cut again, which gives the same blocks.
 
 use std::sync::Arc;
 
@@ -62,8 +62,11 @@ impl Log {
         let mut record = std::mem::take(&mut cutter.record);
         record.clear();
         head.put(made_for, &entries, &mut record);
-        record.extend_from_slice(&cutter.bucket.bytes);
-        let written = working.write(start, &record);
+        // The blocks first, so that a head stands for blocks that were written: a run that is killed between the two, or inside of
+        // either, leaves no head.
+        let written = working
+            .write(start + record.len() as u64, &cutter.bucket.bytes)
+            .and_then(|()| working.write(start, &record));
         cutter.record = record;
         if let Err(error) = written {
             // Without a hole if nobody has appended since.

@@ -17,6 +17,8 @@ pub(super) struct WorkingFile {
     file: File,
     path: PathBuf,
     quota: DiskQuota,
+    /// Whether another run can go on with it.
+    is_kept: bool,
 }
 
 impl WorkingFile {
@@ -47,7 +49,7 @@ impl WorkingFile {
             }
             // Between open and lock the owner may have finished and removed it.
             if same_file(&file, &path).map_err(write)? {
-                return Ok(WorkingFile { file, path, quota });
+                return Ok(WorkingFile { file, path, quota, is_kept: false });
             }
         }
     }
@@ -76,7 +78,11 @@ impl WorkingFile {
     pub fn write(&self, offset: u64, bytes: &[u8]) -> Result<(), CompileError> {
         let write = |error| CompileError::Write { path: self.path.clone(), error };
         self.quota.take(bytes.len() as u64).map_err(write)?;
-        write_at(&self.file, offset, bytes).map_err(write)
+        write_at(&self.file, offset, bytes).map_err(|error| {
+            // Whoever tries again writes to the same place.
+            self.quota.give_back(bytes.len() as u64);
+            write(error)
+        })
     }
 
     /// Takes away what is behind `length`.
@@ -87,6 +93,12 @@ impl WorkingFile {
     /// Counts what is there already against the limit on disk space.
     pub fn count_existing(&self, bytes: u64) -> Result<(), CompileError> {
         self.quota.take(bytes).map_err(|error| CompileError::Write { path: self.path.clone(), error })
+    }
+
+    /// Says that another run can go on with it. A file of which nobody says so goes when this is dropped: it is of no use to
+    /// anybody, and on a full disk in the way.
+    pub fn keep(&mut self) {
+        self.is_kept = true;
     }
 
     /// Takes the name away; the file goes when it is closed. Where the system refuses, it stays.
@@ -106,5 +118,14 @@ impl WorkingFile {
     /// The error of bytes that are not what was written.
     pub fn damaged(&self, offset: u64, reason: impl Into<String>) -> CompileError {
         CompileError::WorkingFile { path: self.path.clone(), offset, reason: reason.into() }
+    }
+}
+
+impl Drop for WorkingFile {
+    fn drop(&mut self) {
+        // The lock still holds, so the name is that of this file.
+        if !self.is_kept && same_file(&self.file, &self.path).unwrap_or(false) {
+            self.remove();
+        }
     }
 }

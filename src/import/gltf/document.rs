@@ -65,6 +65,7 @@ impl Opened {
         file.seek(SeekFrom::Start(json_range.start)).map_err(io)?;
         file.take(json_bytes).read_to_end(&mut json).map_err(io)?;
         let document = parse(path, json_range.start, &json)?;
+        check_version(path, &document)?;
         let texts = DataPlaces::find(&json, json_range.start);
         let buffer_text = |buffer: gltf::Buffer<'_>| match buffer.source() {
             gltf::buffer::Source::Uri(uri) => texts.of(uri),
@@ -119,6 +120,25 @@ impl Opened {
             .filter(|path| path.is_file())
             .collect()
     }
+}
+
+/// Refuses what is not for readers of version 2.0 (glTF 2.0, section 3.2): the least version that it names, or else its own, counts.
+fn check_version(path: &Path, document: &gltf::Document) -> Result<(), ImportError> {
+    let asset = &document.as_json().asset;
+    let (name, version) = match &asset.min_version {
+        Some(version) => ("minVersion", version),
+        None => ("version", &asset.version),
+    };
+    // A later minor version may only be told from a least one.
+    let is_read = version == "2.0" || (name == "version" && version.split('.').next() == Some("2"));
+    if is_read {
+        return Ok(());
+    }
+    Err(ImportError::Element {
+        path: path.to_path_buf(),
+        element: "asset".into(),
+        reason: format!("its {name} is {version:?}; version 2.0 is read"),
+    })
 }
 
 fn byte_error(path: &Path, offset: u64, reason: impl Into<String>) -> ImportError {

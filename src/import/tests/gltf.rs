@@ -105,6 +105,26 @@ impl Sample {
     }
 }
 
+#[test]
+fn other_versions_are_refused() {
+    let of = |asset: Value| square().with("/asset", asset).import();
+    for asset in [
+        json!({ "version": "2.0" }),
+        json!({ "version": "2.3" }),
+        json!({ "version": "2.3", "minVersion": "2.0" }),
+    ] {
+        assert_eq!(of(asset.clone()).unwrap().0.triangles.len(), 2, "{asset}");
+    }
+    for (asset, expected) in [
+        (json!({ "version": "1.0" }), "its version is \"1.0\"; version 2.0 is read"),
+        (json!({ "version": "3" }), "its version is \"3\"; version 2.0 is read"),
+        (json!({ "version": "2.3", "minVersion": "2.3" }), "its minVersion is \"2.3\"; version 2.0 is read"),
+    ] {
+        let Err(error) = of(asset.clone()) else { panic!("{asset} was read") };
+        assert!(error.to_string().ends_with(expected), "{error}");
+    }
+}
+
 /// The square with a bit of everything that is looked at.
 fn rich() -> Sample {
     let mut sample = square();

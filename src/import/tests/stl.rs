@@ -94,6 +94,19 @@ fn faults_name_line_and_reason() {
             format!("solid\n{}", facet(1.0).replace("  endfacet\n", "")),
             format!("{at}:8: the file ends inside the facet of line 2"),
         ),
+        // Or else the triangle would be missing, and nobody would know.
+        (
+            format!("solid\n{}{}", facet(1.0).replace("    endloop\n", ""), facet(2.0)),
+            format!("{at}:7: `endfacet` inside a loop: its `endloop` is missing"),
+        ),
+        (
+            "solid\nfacet\nouter loop\nfacet\n".into(),
+            format!("{at}:4: `facet` inside a loop: its `endloop` is missing"),
+        ),
+        (
+            "solid\nfacet\nouter loop\nvertex 1 1 1\nouter loop\n".into(),
+            format!("{at}:5: `outer` inside a loop: its `endloop` is missing"),
+        ),
     ] {
         assert_eq!(error(stl(&text)), expected, "{text:?}");
     }
