@@ -3,6 +3,8 @@
 //! `cargo run --release --example embed -- MODEL.outcrop` (`render MODEL --compile-only` makes that file)
 
 use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::sync::Arc;
 
 use outcrop::geom::Ray;
@@ -12,8 +14,31 @@ use outcrop::trace::Occlusion;
 use outcrop::units::Bytes;
 use outcrop::{LazyOctree, MemoryBudget};
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let path = std::env::args().nth(1).ok_or("usage: embed MODEL.outcrop")?;
+const USAGE: &str = "usage: embed MODEL.outcrop   (render MODEL --compile-only makes that file)";
+
+fn main() -> ExitCode {
+    let path = match std::env::args_os().nth(1) {
+        Some(argument) if argument == "--help" || argument == "-h" => {
+            println!("{USAGE}");
+            return ExitCode::SUCCESS;
+        }
+        Some(path) => PathBuf::from(path),
+        None => {
+            eprintln!("{USAGE}");
+            return ExitCode::FAILURE;
+        }
+    };
+    match look_through(&path) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Sends one ray through the middle of the model.
+fn look_through(path: &Path) -> Result<(), Box<dyn Error>> {
     let budget = MemoryBudget::new(Bytes::mib(64));
     let source = Arc::new(DiskSource::open(path)?);
     let octree = LazyOctree::open(source, &budget, OctreeOptions::default())?;

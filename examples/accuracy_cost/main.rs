@@ -87,6 +87,9 @@ fn accuracy_cost(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
             format!("--threads: between 1 and {}, not {}", model::TRACERS_MAX, options.threads).into()
         );
     }
+    if options.repetitions == 0 {
+        return Err("--repetitions 0: at least one is needed".into());
+    }
     std::fs::create_dir_all(&options.out)
         .map_err(|error| format!("cannot make {}: {error}", options.out.display()))?;
     let interrupt = Interrupt::install()?;

@@ -79,15 +79,24 @@ fn run(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
             _ => return Err(arguments.unknown()),
         }
     }
-    std::fs::create_dir_all(&options.output)?;
+    if options.threads == 0 {
+        return Err("--threads 0: at least one is needed".into());
+    }
     let budget = MemoryBudget::new(Bytes::mib(256));
+    let entries = scenes::all(&budget, options.quick)?;
+    let pictures: [(&str, Picture); 2] =
+        [("instances", instances::forest), ("moving-instances", instances::moving)];
+    if let Some(only) = &options.only {
+        let names = entries.iter().map(|entry| entry.name).chain(pictures.map(|(name, _)| name));
+        refuse_unknown(only, &names.collect::<Vec<_>>())?;
+    }
+    std::fs::create_dir_all(&options.output)
+        .map_err(|error| format!("cannot make the folder {}: {error}", options.output.display()))?;
     let mut page = Page::default();
-    let mut found = false;
-    for entry in scenes::all(&budget, options.quick)? {
+    for entry in entries {
         if options.only.as_ref().is_some_and(|only| only != entry.name) {
             continue;
         }
-        found = true;
         make(&options, entry, &budget, &mut page)?;
     }
     if options.measures() {
@@ -103,22 +112,24 @@ fn run(mut arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
         threads: options.threads,
         budget: &budget,
     };
-    let pictures: [(&str, Picture); 2] =
-        [("instances", instances::forest), ("moving-instances", instances::moving)];
     for (name, picture) in pictures {
         if options.only.as_ref().is_none_or(|only| only == name) {
-            found = true;
             picture(&making, page.more())?;
         }
-    }
-    if !found {
-        return Err(format!("--only {}: there is no such picture", options.only.unwrap_or_default()).into());
     }
     match options.only {
         None => std::fs::write(options.output.join("README.md"), page.text())?,
         Some(_) => print!("{}", page.part()),
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses the name of a picture that there is not.
+fn refuse_unknown(only: &str, names: &[&str]) -> Result<(), String> {
+    match names.contains(&only) {
+        true => Ok(()),
+        false => Err(format!("--only {only}: there is no such picture; there are {}", names.join(", "))),
+    }
 }
 
 /// Makes pictures that are not of one mesh, and writes about them.

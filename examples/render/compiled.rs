@@ -1,6 +1,7 @@
 //! Finds or makes the compiled file.
 
 use std::error::Error;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -8,7 +9,7 @@ use outcrop::compile::{
     CompileOptions, CompileReport, Compiler, Control, LazyModel, LazyOptions, Phase, Progress, Threads,
     compile_file_with, compile_shape,
 };
-use outcrop::error::SourceError;
+use outcrop::error::{CompileError, ImportError, SourceError};
 use outcrop::import::{GltfPart, ImportOptions, ImportReport, source_record_of};
 use outcrop::model::SourceRecord;
 use outcrop::procedural::{Gears, Shape};
@@ -17,6 +18,7 @@ use outcrop::{BlockSource, MemoryBudget};
 
 use crate::common::interrupt::Interrupt;
 use crate::common::progress::Meter;
+use crate::held::Held;
 use crate::options::Options;
 
 /// Where blocks come from.
@@ -42,7 +44,58 @@ const GEARS_N: u32 = 4;
 /// Extension of compiled files.
 const EXTENSION: &str = "outcrop";
 
+/// Finds or makes the compiled file, or what stands for it; `None` if that was interrupted.
 pub fn prepare(
+    options: &Options,
+    budget: &MemoryBudget,
+    interrupt: &Interrupt,
+    meter: &mut Meter,
+) -> Result<Option<Compiled>, Box<dyn Error>> {
+    match make(options, budget, interrupt, meter) {
+        Ok(compiled) => Ok(Some(compiled)),
+        Err(error) => match error.downcast::<CompileError>() {
+            Ok(error) => match cause(&error) {
+                CompileError::Cancelled => Ok(None),
+                cause => Err(advice(options, cause).map_or(error as Box<dyn Error>, Into::into)),
+            },
+            Err(error) => Err(error),
+        },
+    }
+}
+
+/// What went wrong, behind the reader that it went through.
+fn cause(error: &CompileError) -> &CompileError {
+    match error {
+        CompileError::Import(ImportError::Sink(error)) => cause(error),
+        error => error,
+    }
+}
+
+/// The message for what an option helps against, if one does.
+fn advice(options: &Options, cause: &CompileError) -> Option<String> {
+    match cause {
+        CompileError::NotFinite { triangle } => {
+            let model = options.model.as_deref().unwrap_or(Path::new("the model"));
+            Some(format!(
+                "{}: triangle {triangle} has a coordinate that is not finite; correct the model \
+                 (--skip-not-finite leaves such triangles out)",
+                model.display()
+            ))
+        }
+        CompileError::Write { path, error }
+            if matches!(error.kind(), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) =>
+        {
+            let other = if options.compile_only { "-o" } else { "--compiled" };
+            Some(format!(
+                "cannot write {}: {error}; {other} FILE keeps the compiled file in another folder",
+                path.display()
+            ))
+        }
+        _ => None,
+    }
+}
+
+fn make(
     options: &Options,
     budget: &MemoryBudget,
     interrupt: &Interrupt,
@@ -62,7 +115,7 @@ pub fn prepare(
 
     let Some(model) = &options.model else {
         let n = options.gears_n.unwrap_or(GEARS_N);
-        let path = options.compiled.clone().unwrap_or_else(|| PathBuf::from(format!("gears{n}.{EXTENSION}")));
+        let path = file_of_gears(options);
         let story = format!("procedural gears, n = {n}");
         let gears = Gears::new(n)?;
         if options.lazy {
@@ -77,22 +130,19 @@ pub fn prepare(
         return Ok(Compiled { origin: Origin::File(path), story, report: Some(report) });
     };
 
-    if model.extension().is_some_and(|extension| extension == EXTENSION) {
-        if options.compile_only {
-            return Err(format!("{}: is a compiled file already", model.display()).into());
-        }
+    if is_compiled(model) {
         let story = format!("{}, a compiled file", model.display());
         return Ok(Compiled { origin: Origin::File(model.clone()), story, report: None });
     }
 
     let path = options.compiled.clone().unwrap_or_else(|| beside_part(model, &options.part));
-    let reason = match reason_to_compile(options, model, &path, budget)? {
-        None => {
+    let reason = match need(options, model, &path, budget)? {
+        Need::None { note } => {
             let part = of(&options.part);
-            let story = format!("{}{part}, unchanged since it was compiled", model.display());
+            let story = format!("{}{part}, unchanged since it was compiled ({note})", model.display());
             return Ok(Compiled { origin: Origin::File(path), story, report: None });
         }
-        Some(reason) => reason,
+        Need::Compile(reason) => reason,
     };
     if options.is_lazy() {
         let lazy = lazy_options(options, compile_options.clone());
@@ -148,14 +198,30 @@ fn beside(model: &Path) -> PathBuf {
 
 /// The compiled file of `model`, which may be one itself.
 pub fn file_of(model: &Path) -> PathBuf {
-    match model.extension() {
-        Some(extension) if extension == EXTENSION => model.to_path_buf(),
-        _ => beside(model),
-    }
+    if is_compiled(model) { model.to_path_buf() } else { beside(model) }
+}
+
+/// The compiled file of the gears that are made without a model.
+pub fn file_of_gears(options: &Options) -> PathBuf {
+    let n = options.gears_n.unwrap_or(GEARS_N);
+    options.compiled.clone().unwrap_or_else(|| PathBuf::from(format!("gears{n}.{EXTENSION}")))
+}
+
+/// Where the images of `model` are kept, converted.
+pub fn tiles_of(options: &Options, model: &Path) -> PathBuf {
+    // The model's own folder may be read-only if the compiled file is elsewhere.
+    let mut tiles = options.compiled.clone().unwrap_or_else(|| file_of(model)).into_os_string();
+    tiles.push(".tiles");
+    PathBuf::from(tiles)
+}
+
+/// Whether a file is a compiled one, by its name.
+pub fn is_compiled(model: &Path) -> bool {
+    model.extension().is_some_and(|extension| extension == EXTENSION)
 }
 
 /// [`beside`] for a part of a model.
-fn beside_part(model: &Path, part: &GltfPart) -> PathBuf {
+pub fn beside_part(model: &Path, part: &GltfPart) -> PathBuf {
     let mut name = model.as_os_str().to_os_string();
     match part {
         GltfPart::Scene => {}
@@ -178,26 +244,42 @@ fn import_options(options: &Options) -> ImportOptions {
     ImportOptions::default().with_gltf_part(options.part.clone())
 }
 
-/// Why the model has to be compiled, or `None` if the compiled file is there and up to date.
-fn reason_to_compile(
+/// Whether the model has to be compiled.
+enum Need {
+    Compile(&'static str),
+    /// The compiled file is there and up to date; `note` says what in it is a matter of options.
+    None {
+        note: String,
+    },
+}
+
+fn need(
     options: &Options,
     model: &Path,
     compiled: &Path,
     budget: &MemoryBudget,
-) -> Result<Option<&'static str>, Box<dyn Error>> {
+) -> Result<Need, Box<dyn Error>> {
     let record = source_record_of(model, &import_options(options))?;
     if options.asks_to_compile() {
-        return Ok(Some("compiled as asked"));
+        return Ok(Need::Compile("compiled as asked"));
     }
-    if !compiled.exists() {
-        return Ok(Some("compiled for the first time"));
+    let is_empty = std::fs::metadata(compiled).map_or(true, |metadata| metadata.len() == 0);
+    if is_empty {
+        return Ok(Need::Compile("compiled for the first time"));
     }
     Ok(match DiskSource::open_in(compiled, PageCache::Use, budget) {
-        Ok(source) if source.model().source == record => None,
-        Ok(_) => Some("compiled again because it changed"),
+        Ok(source) if source.model().source == record => {
+            let (held, model) = (Held::of(&source, budget)?, source.model());
+            match held.difference(model, options) {
+                Some(reason) => Need::Compile(reason),
+                None => Need::None { note: held.note(model, options) },
+            }
+        }
+        Ok(_) => Need::Compile("compiled again because it changed"),
         // The file may be as sound as can be.
-        Err(error @ SourceError::Budget(_)) => return Err(error.into()),
-        Err(_) => Some("compiled again because the compiled file is damaged or of another version"),
+        Err(error @ (SourceError::Budget(_) | SourceError::Io { .. })) => return Err(error.into()),
+        // That it is a compiled file is known: see `files::refuse_foreign`.
+        Err(_) => Need::Compile("compiled again because the compiled file is damaged or of another version"),
     })
 }
 

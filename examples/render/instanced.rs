@@ -18,6 +18,7 @@ use crate::Picture;
 use crate::common::interrupt::Interrupt;
 use crate::common::progress::Meter;
 use crate::compiled::{self, Compiled, Origin};
+use crate::files;
 use crate::options::Options;
 use crate::summary::Summary;
 
@@ -49,7 +50,7 @@ impl Parts {
     }
 }
 
-/// Compiles what is not compiled, and makes the picture.
+/// Compiles what is not compiled, and makes the picture; `None` if it was interrupted before.
 pub fn picture(
     options: &Options,
     parts: Parts,
@@ -57,11 +58,12 @@ pub fn picture(
     interrupt: &Interrupt,
     meter: &mut Meter,
     summary: &mut Summary,
-) -> Result<(Picture, Vec<Compiled>), Box<dyn Error>> {
+) -> Result<Option<(Picture, Vec<Compiled>)>, Box<dyn Error>> {
+    files::check_parts(options, &parts.models)?;
     let (mut compiled, mut sources) = (Vec::new(), Vec::new());
     for (file, part) in &parts.models {
         let options = Options { model: Some(file.clone()), part: part.clone(), ..options.clone() };
-        let model = compiled::prepare(&options, budget, interrupt, meter)?;
+        let Some(model) = compiled::prepare(&options, budget, interrupt, meter)? else { return Ok(None) };
         meter.finish();
         summary.compiled(&model);
         sources.push(match &model.origin {
@@ -73,7 +75,7 @@ pub fn picture(
     let models: Vec<Arc<Model>> = sources.iter().map(|source| Arc::clone(source.model())).collect();
     let models: Vec<&Model> = models.iter().map(|model| &**model).collect();
     let bounds = Instances::bounds_of(&models, &parts.places)?;
-    let scene = with_textures(crate::scene(options, &bounds, budget)?, &parts, &models, budget)?;
+    let scene = with_textures(crate::scene(options, &bounds, budget)?, options, &parts, &models, budget)?;
     let threads = Threads::Count(options.threads as usize);
     // The caches take what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed_for(&models, &scene, &options.settings, &threads)?;
@@ -86,12 +88,13 @@ pub fn picture(
     summary.placed(&instances, picture_bytes);
     let renderer = Renderer::over_instances(&instances, &scene, &options.settings, budget)?;
     let picture = crate::draw(&renderer, options, for_layers, interrupt, meter)?;
-    Ok((picture, compiled))
+    Ok(Some((picture, compiled)))
 }
 
 /// The scene with the pictures that the models' materials name. They are named from one folder.
 fn with_textures(
     scene: Scene,
+    options: &Options,
     parts: &Parts,
     models: &[&Model],
     budget: &MemoryBudget,
@@ -108,5 +111,5 @@ fn with_textures(
         .into());
     }
     let materials: Vec<_> = models.iter().flat_map(|model| model.materials.iter().cloned()).collect();
-    crate::with_textures(scene, &materials, first, None, budget)
+    crate::with_textures(scene, &materials, first, options, budget)
 }

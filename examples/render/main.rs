@@ -5,6 +5,8 @@
 mod common;
 
 mod compiled;
+mod files;
+mod held;
 mod instanced;
 mod options;
 mod summary;
@@ -12,7 +14,7 @@ mod summary;
 use std::error::Error;
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -22,6 +24,7 @@ use common::interrupt::Interrupt;
 use common::memory_log::MemoryLog;
 use common::progress::Meter;
 use compiled::{Compiled, Origin};
+use files::WouldOverwrite;
 use options::{Command, Options, SourceKind};
 use outcrop::access::{AccessTrace, MissRatioCurve};
 use outcrop::budget::Reservation;
@@ -49,25 +52,15 @@ fn run(arguments: Arguments) -> Result<ExitCode, Box<dyn Error>> {
         }
         Command::Run(options) => options,
     };
-    // A render can take hours: what would stop its picture from being written is told before.
-    if let Some(folder) = options.output.parent().filter(|folder| !folder.as_os_str().is_empty())
-        && !options.compile_only
-        && !folder.is_dir()
-    {
-        return Err(format!(
-            "cannot write {}: there is no folder {}",
-            options.output.display(),
-            folder.display()
-        )
-        .into());
-    }
+    files::check(&options)?;
     let interrupt = Interrupt::install()?;
     let budget = MemoryBudget::new(options.memory);
     let log = options.memory_log.clone().map(|path| MemoryLog::start(path, &budget));
     let mut summary = Summary::new();
 
     let code = job(&options, &budget, &interrupt, &mut summary);
-    if let Some(log) = log {
+    let may_write = !code.as_ref().is_err_and(|error| error.is::<WouldOverwrite>());
+    if let Some(log) = log.filter(|_| may_write) {
         log.finish()?;
     }
     let code = code?;
@@ -83,8 +76,9 @@ fn job(
 ) -> Result<ExitCode, Box<dyn Error>> {
     let mut meter = Meter::new();
     if let Some(parts) = instanced::Parts::of(options)? {
-        let (picture, models) = instanced::picture(options, parts, budget, interrupt, &mut meter, summary)?;
+        let made = instanced::picture(options, parts, budget, interrupt, &mut meter, summary)?;
         meter.finish();
+        let Some((picture, models)) = made else { return Ok(stopped_early()) };
         // The picture first: a full disk must not lose it.
         let code = finish(options, &picture, summary)?;
         models.iter().try_for_each(|model| keep_lazy(model, summary))?;
@@ -92,6 +86,7 @@ fn job(
     }
     let compiled = compiled::prepare(options, budget, interrupt, &mut meter)?;
     meter.finish();
+    let Some(compiled) = compiled else { return Ok(stopped_early()) };
     summary.compiled(&compiled);
     if options.compile_only {
         return Ok(ExitCode::SUCCESS);
@@ -107,6 +102,12 @@ fn job(
     let code = finish(options, &picture, summary)?;
     keep_lazy(&compiled, summary)?;
     Ok(code)
+}
+
+/// Tells that there is no picture because the user asked to stop.
+fn stopped_early() -> ExitCode {
+    eprintln!("stopped while compiling: nothing was finished");
+    ExitCode::from(Interrupt::EXIT_CODE)
 }
 
 /// Seals a model that was compiled as rays reached it, if that is all of it.
@@ -152,15 +153,36 @@ fn draw(
 /// Writes the picture.
 fn finish(options: &Options, picture: &Picture, summary: &mut Summary) -> Result<ExitCode, Box<dyn Error>> {
     let Picture { image, layers } = picture;
+    let is_whole = image.report.outcome == Outcome::Complete;
+    let output = if is_whole { options.output.clone() } else { place_of_partial(&options.output) };
     match layers {
-        Some(layers) => layers.write(&image.film, &options.output)?,
-        None => image.film.write(&options.output)?,
+        Some(layers) => layers.write(&image.film, &output)?,
+        None => image.film.write(&output)?,
     }
-    summary.rendered(image, &options.output);
-    Ok(match image.report.outcome {
-        Outcome::Complete => ExitCode::SUCCESS,
-        Outcome::Cancelled => ExitCode::from(Interrupt::EXIT_CODE),
-    })
+    summary.rendered(image, &output);
+    if is_whole {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let report = &image.report;
+    eprintln!(
+        "stopped after {} of {} tiles: the unfinished picture is {}",
+        report.tiles_finished,
+        report.tiles_total,
+        output.display()
+    );
+    Ok(ExitCode::from(Interrupt::EXIT_CODE))
+}
+
+/// `NAME.partial.EXT` if there is a picture already, which may be a good one.
+fn place_of_partial(output: &Path) -> PathBuf {
+    match output.extension() {
+        Some(kind) if output.exists() => {
+            let mut extension = std::ffi::OsString::from("partial.");
+            extension.push(kind);
+            output.with_extension(extension)
+        }
+        _ => output.to_path_buf(),
+    }
 }
 
 fn open(
@@ -194,7 +216,7 @@ fn render(
     let threads = Threads::Count(options.threads as usize);
     let mut scene = scene(options, &source.model().bounds, budget)?;
     if let Some(model) = &options.model {
-        scene = with_textures(scene, &source.model().materials, model, options.compiled.as_deref(), budget)?;
+        scene = with_textures(scene, &source.model().materials, model, options, budget)?;
     }
     // The octree's cache takes what is left of the budget, so the picture's share is set aside first.
     let picture_bytes = Renderer::bytes_needed(&scene, source.model(), &settings, &threads)?;
@@ -245,21 +267,16 @@ fn with_textures(
     scene: Scene,
     materials: &[MaterialRecord],
     model: &Path,
-    compiled: Option<&Path>,
+    options: &Options,
     budget: &MemoryBudget,
 ) -> Result<Scene, Box<dyn Error>> {
     if Textures::named_by(materials).is_empty() {
         return Ok(scene);
     }
-    // The model's own folder may be read-only if the compiled file is elsewhere.
-    let mut tiles = match compiled {
-        Some(compiled) => compiled.to_path_buf(),
-        None => compiled::file_of(model),
-    }
-    .into_os_string();
-    tiles.push(".tiles");
     let folder = model.parent().unwrap_or(Path::new(""));
-    Ok(scene.with_textures(Textures::open(materials, folder, Path::new(&tiles), budget)?))
+    files::check_images(options, materials, folder)?;
+    let tiles = compiled::tiles_of(options, model);
+    Ok(scene.with_textures(Textures::open(materials, folder, &tiles, budget)?))
 }
 
 fn create(path: &Path) -> Result<File, String> {

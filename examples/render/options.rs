@@ -17,6 +17,7 @@ use outcrop::units::Bytes;
 
 use crate::common::arguments::Arguments;
 use crate::common::gears_view;
+use crate::{compiled, files};
 
 pub const HELP: &str = "\
 render: makes a picture of a model inside a memory budget
@@ -76,6 +77,9 @@ report
     --stats FILE.json       everything that is printed and more
     --record-accesses FILE  which blocks each query enters, and how much memory the view needs
     --memory-log FILE.csv   memory over time, and a plot of it as FILE.svg
+
+Exit codes: 0 done, 1 failed, 130 stopped by ^C. What is finished of the picture by then is written: to its own name if nothing has that name,
+else to NAME.partial.EXT. A second ^C ends at once.
 ";
 
 /// What was asked for.
@@ -96,6 +100,8 @@ pub enum SourceKind {
 pub struct Options {
     /// What is said in a scene file, if one was given.
     pub scene: Option<SceneFile>,
+    /// That file.
+    pub scene_file: Option<PathBuf>,
     /// A model file or a compiled file; the gears if not given.
     pub model: Option<PathBuf>,
     /// Wheels per edge of those.
@@ -272,6 +278,18 @@ impl Options {
         if self.threads == 0 {
             return Err("--threads 0: at least one is needed".into());
         }
+        if self.slots_max == Some(0) {
+            return Err("--slots 0: at least one is needed".into());
+        }
+        if self.up.is_some_and(|up| up == [0.0; 3]) {
+            return Err("--up 0,0,0: a direction is needed, as 0,0,1".into());
+        }
+        if self.orthographic.is_some() && self.fov.is_some() {
+            return Err(
+                "--orthographic and --fov: a parallel projection has no angle of view; give one of them"
+                    .into(),
+            );
+        }
         if self.model.is_none() {
             self.show_gears();
         } else if self.gears_n.is_some() {
@@ -281,6 +299,7 @@ impl Options {
         if file.as_deref().and_then(Path::extension).is_some_and(|kind| kind == "toml") {
             self.read_scene()?;
         }
+        self.refuse_for_compiled()?;
         if let Some([width, height]) = given.size {
             (self.settings.width, self.settings.height) = (width, height);
         }
@@ -291,6 +310,12 @@ impl Options {
         self.settings.waiting = self.waiting.unwrap_or(self.settings.waiting);
         self.settings.loader_threads = self.loaders;
         if self.compile_only {
+            if given.output.is_some() && self.compiled.is_some() {
+                return Err(
+                    "-o and --compiled: both name the compiled file with --compile-only; give one of them"
+                        .into(),
+                );
+            }
             self.compiled = given.output.or(self.compiled.take());
             return Ok(());
         }
@@ -313,7 +338,10 @@ impl Options {
     /// Takes a scene file, which stands where the model would, for what it says.
     fn read_scene(&mut self) -> Result<(), Box<dyn Error>> {
         let Some(path) = self.model.take() else { return Ok(()) };
+        // It is read before the other files are checked.
+        files::refuse_irregular(&path)?;
         let scene = SceneFile::read(&path)?;
+        self.scene_file = Some(path.clone());
         let has_view = self.eye.is_some()
             || self.look_at.is_some()
             || self.up.is_some()
@@ -335,6 +363,32 @@ impl Options {
         self.memory = scene.memory.unwrap_or(self.memory);
         self.scene = Some(scene);
         Ok(())
+    }
+
+    /// What is for models that are not compiled. Scenes may hold both.
+    fn refuse_for_compiled(&self) -> Result<(), Box<dyn Error>> {
+        let has_many = self.scene.as_ref().is_some_and(|scene| scene.models.len() > 1);
+        let Some(model) = self.model.as_deref().filter(|model| !has_many && compiled::is_compiled(model))
+        else {
+            return Ok(());
+        };
+        let given = [
+            (self.compile_only, "--compile-only"),
+            (self.recompile, "--recompile"),
+            (self.lazy, "--lazy"),
+            (self.block_bytes.is_some(), "--block-bytes"),
+            (self.codec.is_some(), "--codec"),
+            (self.precision.is_some(), "--precision"),
+            (self.skip_not_finite, "--skip-not-finite"),
+        ];
+        match given.into_iter().find(|(is_given, _)| *is_given) {
+            Some((_, option)) => Err(format!(
+                "{option}: {} is a compiled file already; give the model that it was compiled from",
+                model.display()
+            )
+            .into()),
+            None => Ok(()),
+        }
     }
 
     /// What is for one model only.
@@ -370,6 +424,7 @@ impl Default for Options {
     fn default() -> Options {
         Options {
             scene: None,
+            scene_file: None,
             model: None,
             gears_n: None,
             output: PathBuf::new(),

@@ -98,11 +98,18 @@ impl Summary {
             grouped(report.triangles_encoded),
             grouped(report.triangles)
         );
+        if report.skipped > 0 {
+            println!(
+                "          {} triangles left out because a coordinate is not finite",
+                grouped(report.skipped)
+            );
+        }
         if let Some(path) = sealed {
             println!("          all of it: sealed as {}", path.display());
         }
         self.stats["lazy_compile"] = json!({
             "triangles": report.triangles,
+            "skipped": report.skipped,
             "triangles_encoded": report.triangles_encoded,
             "cells": report.cells,
             "cells_cut": report.cells_cut,
@@ -118,12 +125,18 @@ impl Summary {
     pub fn opened(&mut self, octree: &LazyOctree, picture_bytes: Bytes) {
         let (slots, blocks) = (octree.cache().slot_count(), octree.model().expected_block_count());
         let cache_bytes = Bytes(u64::from(slots) * octree.cache().slot_bytes().0);
-        println!(
-            "memory    {cache_bytes} for {} of {} ({:.0} %), {picture_bytes} for the picture",
-            grouped(slots.into()),
-            counted(blocks.into(), "block"),
-            100.0 * f64::from(slots) / f64::from(blocks)
-        );
+        // A model that is compiled lazily may come to have more blocks than are expected.
+        let share = if slots > blocks {
+            format!("up to {}, about {} expected", counted(slots.into(), "block"), grouped(blocks.into()))
+        } else {
+            format!(
+                "{} of {} ({:.0} %)",
+                grouped(slots.into()),
+                counted(blocks.into(), "block"),
+                100.0 * f64::from(slots) / f64::from(blocks)
+            )
+        };
+        println!("memory    {cache_bytes} for {share}, {picture_bytes} for the picture");
         self.stats["cache"] = json!({
             "slots": slots,
             "slot_bytes": octree.cache().slot_bytes().0,
