@@ -20,7 +20,7 @@ pub fn timeline_svg(lanes: &[LaneInfo], spans: &[Span]) -> String {
     );
     let mut names: Vec<&str> = Vec::new();
     for (row, lane) in lanes.iter().enumerate() {
-        let index = names.iter().position(|name| *name == lane.worker).unwrap_or_else(|| {
+        let index = names.iter().position(|name| *name == &*lane.worker).unwrap_or_else(|| {
             names.push(&lane.worker);
             names.len() - 1
         });

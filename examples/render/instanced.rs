@@ -50,6 +50,9 @@ impl Parts {
     }
 }
 
+/// A picture, and the models in it.
+pub type Made = (Picture, Vec<Compiled>);
+
 /// Compiles what is not compiled, and makes the picture; `None` if it was interrupted before.
 pub fn picture(
     options: &Options,
@@ -58,7 +61,7 @@ pub fn picture(
     interrupt: &Interrupt,
     meter: &mut Meter,
     summary: &mut Summary,
-) -> Result<Option<(Picture, Vec<Compiled>)>, Box<dyn Error>> {
+) -> Result<Option<Made>, Box<dyn Error>> {
     files::check_parts(options, &parts.models)?;
     let (mut compiled, mut sources) = (Vec::new(), Vec::new());
     for (file, part) in &parts.models {

@@ -10,7 +10,7 @@
 //! A record counts when it is whole and its checksum is right, so a crash in the middle of writing loses that record and no other.
 //! What follows a damaged record is cut off.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -41,15 +41,26 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Opens the checkpoint of the job with this digest, or begins one. Gives what was recorded.
+    /// Opens the checkpoint of the job with this digest, or begins one. Gives what was recorded. The file is locked as long as the
+    /// checkpoint is open, where the file system has locks.
     ///
     /// # Errors
-    /// [`CoordinatorError::OtherPicture`] if the file is the checkpoint of another job, or none at all; nothing is changed then.
+    /// [`CoordinatorError::CheckpointInUse`] if another process has it open, [`CoordinatorError::OtherPicture`] if the file is the checkpoint
+    /// of another job, [`CoordinatorError::NoCheckpoint`] if it is none, or its header is damaged; nothing is changed then.
     /// [`CoordinatorError::Checkpoint`] if it cannot be read or written.
     pub fn open(path: &Path, job_digest: u64) -> Result<(Checkpoint, Vec<Record>), CoordinatorError> {
         let failed = |error| CoordinatorError::Checkpoint { path: path.to_owned(), error };
         let options = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path);
         let mut file = options.map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(CoordinatorError::CheckpointInUse { path: path.to_owned() });
+            }
+            // A file system without locks: then it is for the user to keep coordinators apart.
+            Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
+        }
         let length = file.metadata().map_err(failed)?.len();
         let header = header(job_digest);
         let mut records = Vec::new();
@@ -60,13 +71,13 @@ impl Checkpoint {
             let mut found = Vec::new();
             file.read_to_end(&mut found).map_err(failed)?;
             if !header.starts_with(&found) {
-                return Err(CoordinatorError::OtherPicture);
+                return Err(foreign(path, &found));
             }
             file.seek(SeekFrom::Start(0)).and_then(|_| file.write_all(&header)).map_err(failed)?;
         } else {
             file.read_exact(&mut found).map_err(failed)?;
             if found != header {
-                return Err(CoordinatorError::OtherPicture);
+                return Err(foreign(path, &found));
             }
             let mut reader = io::BufReader::new(&file);
             while let Some(record) = read_record(&mut reader).map_err(failed)? {
@@ -94,6 +105,21 @@ impl Checkpoint {
         let written = self.file.write_all(&bytes).and_then(|()| self.file.sync_data());
         written.map_err(|error| CoordinatorError::Checkpoint { path: self.path.clone(), error })
     }
+}
+
+/// Why a file that does not begin with the job's header is not its checkpoint.
+fn foreign(path: &Path, found: &[u8]) -> CoordinatorError {
+    let path = path.to_owned();
+    let reason = if !found.starts_with(&SIGNATURE) {
+        "it is something else"
+    } else if found.get(8..12).is_some_and(|version| version != VERSION.to_le_bytes()) {
+        "it is of another version of this library, or its header is damaged"
+    } else if found.len() < HEADER_BYTES || checksum(&found[..20]).to_le_bytes() != found[20..HEADER_BYTES] {
+        "its header is damaged"
+    } else {
+        return CoordinatorError::OtherPicture { path };
+    };
+    CoordinatorError::NoCheckpoint { path, reason }
 }
 
 fn header(job_digest: u64) -> [u8; HEADER_BYTES] {
@@ -187,11 +213,47 @@ mod tests {
         checkpoint.append(&records()[2..]).unwrap();
         drop(checkpoint);
         assert_eq!(Checkpoint::open(&path, 5).unwrap().1, records());
-        assert!(matches!(Checkpoint::open(&path, 6), Err(CoordinatorError::OtherPicture)));
+        let error = Checkpoint::open(&path, 6).map(drop).unwrap_err();
+        assert!(matches!(&error, CoordinatorError::OtherPicture { path: named } if *named == path));
+        assert!(error.to_string().contains("picture.checkpoint"), "{error}");
         assert_eq!(Checkpoint::open(&path, 5).unwrap().1, records());
         std::fs::write(&path, "some notes that are nobody's checkpoint").unwrap();
-        assert!(matches!(Checkpoint::open(&path, 5), Err(CoordinatorError::OtherPicture)));
+        let no_checkpoint = |what: &str| match Checkpoint::open(&path, 5).map(drop).unwrap_err() {
+            error @ CoordinatorError::NoCheckpoint { .. } => {
+                let text = error.to_string();
+                assert!(text.contains("picture.checkpoint") && text.contains(what), "{text}");
+            }
+            other => panic!("{other}"),
+        };
+        no_checkpoint("something else");
         assert!(std::fs::read(&path).unwrap().starts_with(b"some notes"));
+        std::fs::write(&path, "notes").unwrap();
+        no_checkpoint("something else");
+        for (at, what) in [(3, "something else"), (9, "version"), (15, "damaged"), (25, "damaged")] {
+            let mut bytes = header(5);
+            bytes[at] ^= 1;
+            std::fs::write(&path, bytes).unwrap();
+            no_checkpoint(what);
+            assert_eq!(std::fs::read(&path).unwrap(), bytes);
+        }
+        std::fs::write(&path, &header(6)[..24]).unwrap();
+        no_checkpoint("damaged");
+    }
+
+    #[test]
+    fn two_coordinators_do_not_share_a_checkpoint() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("picture.checkpoint");
+        let (mut checkpoint, _) = Checkpoint::open(&path, 5).unwrap();
+        checkpoint.append(&records()[..1]).unwrap();
+        for digest in [5, 6] {
+            let error = Checkpoint::open(&path, digest).map(drop).unwrap_err();
+            assert!(matches!(&error, CoordinatorError::CheckpointInUse { path: named } if *named == path));
+            assert!(error.to_string().contains("picture.checkpoint"), "{error}");
+        }
+        checkpoint.append(&records()[1..]).unwrap();
+        drop(checkpoint);
+        assert_eq!(Checkpoint::open(&path, 5).unwrap().1, records());
     }
 
     #[test]

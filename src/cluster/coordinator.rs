@@ -1,6 +1,7 @@
 //! The coordinator: who is there, who renders what, what is done.
 
 use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::checkpoint::Record;
@@ -50,11 +51,11 @@ pub struct CoordinatorCounters {
     pub cells_repeated: u64,
 }
 
-/// A lane that took part: a thread of a worker, in one connection.
+/// A lane that returned cells: a thread of a worker, in one connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LaneInfo {
-    /// The worker's name.
-    pub worker: String,
+    /// The worker's name, which its lanes share.
+    pub worker: Arc<str>,
     /// Which of its lanes.
     pub lane: u16,
 }
@@ -88,7 +89,10 @@ struct Node {
 /// A lane by its number in the schedule.
 struct Lane {
     peer: PeerId,
+    name: Arc<str>,
     lane: u16,
+    /// Where it stands in the list of those that returned cells, from its first on.
+    number: Option<u32>,
     /// Whether it waits for an answer to its request.
     asks: bool,
 }
@@ -107,6 +111,8 @@ pub struct Coordinator {
     nodes: BTreeMap<PeerId, Node>,
     workers: HashMap<WorkerId, Lane>,
     lanes: Vec<LaneInfo>,
+    /// Lanes that joined so far.
+    joined_lanes: u64,
     places: Vec<Option<PeerId>>,
     spans: Vec<Span>,
     counters: CoordinatorCounters,
@@ -117,6 +123,9 @@ pub struct Coordinator {
 
 /// More are not kept: a picture that takes so many results needs no timeline of each.
 const SPANS_MAX: usize = 1 << 20;
+
+/// More lanes are not told apart: names of a kilobyte each are to stay within bounds, too.
+const LANES_MAX: u32 = 1 << 16;
 
 impl Coordinator {
     /// A coordinator of a picture of which nothing is done. The picture's memory comes from `budget`.
@@ -156,7 +165,7 @@ impl Coordinator {
         let grid = checkpoint.grid();
         let sides = [job.settings.width, job.settings.height, job.tile_side, job.cell_side];
         if [grid.width(), grid.height(), grid.tile_side(), grid.cell_side()] != sides {
-            return Err(CoordinatorError::OtherPicture);
+            return Err(CoordinatorError::OtherRecords);
         }
         // What counts is the pixels that are there.
         for tile in (0..grid.tile_count()).map(TileId) {
@@ -167,11 +176,11 @@ impl Coordinator {
         for frame in results {
             let Ok((Message::Result { what, micros, work, blocks, .. }, pixels)) = Message::parse(&frame)
             else {
-                return Err(CoordinatorError::OtherPicture);
+                return Err(CoordinatorError::OtherRecords);
             };
             let cells = TileCells { tile: TileId(what.tile), cells: what.cells };
             if !coordinator.picture.fits(cells, pixels) {
-                return Err(CoordinatorError::OtherPicture);
+                return Err(CoordinatorError::OtherRecords);
             }
             let spent = Spent { seconds: micros as f64 * 1e-6, work };
             let result = TileResult { lease: LeaseId(what.lease), cells, is_last: true, spent, blocks };
@@ -201,6 +210,7 @@ impl Coordinator {
             nodes: BTreeMap::new(),
             workers: HashMap::new(),
             lanes: Vec::new(),
+            joined_lanes: 0,
             places: vec![None; options.readers],
             spans: Vec::new(),
             counters: CoordinatorCounters::default(),
@@ -213,7 +223,7 @@ impl Coordinator {
     /// The lane to which cells from before a restart belong.
     fn restored(&mut self) -> u32 {
         if self.lanes.is_empty() {
-            self.lanes.push(LaneInfo { worker: "before the restart".to_owned(), lane: 0 });
+            self.lanes.push(LaneInfo { worker: "before the restart".into(), lane: 0 });
         }
         0
     }
@@ -336,7 +346,7 @@ impl Coordinator {
             .lanes
             .iter()
             .map(|lane| {
-                names.iter().position(|name| *name == lane.worker).unwrap_or_else(|| {
+                names.iter().position(|name| *name == &*lane.worker).unwrap_or_else(|| {
                     names.push(&lane.worker);
                     names.len() - 1
                 })
@@ -345,7 +355,7 @@ impl Coordinator {
         self.picture.map(|lane| map_colour(workers[lane as usize]), budget)
     }
 
-    /// Everybody who ever took part.
+    /// Everybody who ever returned cells, at most 65,536; the last then stands for all that came later.
     pub fn lanes(&self) -> &[LaneInfo] {
         &self.lanes
     }
@@ -416,34 +426,47 @@ impl Coordinator {
         hello: (u16, Role, String, Option<String>, Option<u64>),
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        const LANES_MAX: u16 = 1024;
+        const WORKER_LANES_MAX: u16 = 1024;
         let (version, role, name, address, model) = hello;
+        // Tells the node, so that it need not try again, and then the log.
+        let mut refuse = |told: String, reason: String| {
+            let frame = Message::Refused { reason: told }.frame();
+            actions.push(Action::Send { to: peer, frame });
+            Err(reason)
+        };
         if version != MESSAGE_VERSION {
-            return Err(format!("it speaks version {version}, this node version {MESSAGE_VERSION}"));
+            return refuse(
+                format!(
+                    "the coordinator speaks version {MESSAGE_VERSION} of the messages, this node {version}"
+                ),
+                format!("it speaks version {version}, this node version {MESSAGE_VERSION}"),
+            );
         }
         if model.is_some_and(|model| model != self.job.model) {
-            return Err("it has another model".to_owned());
+            return refuse("the coordinator has another model".to_owned(), "it has another model".to_owned());
         }
         let member = match role {
-            Role::Worker { lanes } if !(1..=LANES_MAX).contains(&lanes) => {
-                return Err(format!("it has {lanes} lanes"));
+            Role::Worker { lanes } if !(1..=WORKER_LANES_MAX).contains(&lanes) => {
+                let told = format!("a worker has 1 to {WORKER_LANES_MAX} lanes here, not {lanes}");
+                return refuse(told, format!("it has {lanes} lanes"));
             }
             Role::Worker { lanes } => {
+                let shared: Arc<str> = name.as_str().into();
                 let lanes = (0..lanes).map(|lane| {
-                    // Numbers are those of the list, which only grows.
-                    let worker = WorkerId(self.lanes.len() as u64);
-                    self.lanes.push(LaneInfo { worker: name.clone(), lane });
-                    self.workers.insert(worker, Lane { peer, lane, asks: false });
+                    let worker = WorkerId(self.joined_lanes);
+                    self.joined_lanes += 1;
+                    let name = Arc::clone(&shared);
+                    self.workers.insert(worker, Lane { peer, name, lane, number: None, asks: false });
                     self.scheduler.join(worker, self.now);
                     worker
                 });
                 Member::Worker { lanes: lanes.collect() }
             }
             Role::Reader => {
-                let address = address.ok_or("a reader without an address")?;
-                if model.is_none() {
-                    return Err("a reader without a model".to_owned());
-                }
+                let (Some(address), Some(_)) = (address, model) else {
+                    let told = "a reader must have a model, and an address where others reach it";
+                    return refuse(told.to_owned(), "a reader without an address or a model".to_owned());
+                };
                 let place = self.places.iter().position(Option::is_none);
                 if let Some(place) = place {
                     self.places[place] = Some(peer);
@@ -518,8 +541,10 @@ impl Coordinator {
         let receipt = self.scheduler.complete(worker, result, self.now).map_err(|error| error.to_string())?;
         self.counters.results += 1;
         self.counters.cells_repeated += u64::from(receipt.repeated);
-        // Lanes are numbered as they stand in the list.
-        let owner = worker.0 as u32;
+        // One that has returned nothing yet takes up no room: anybody may say hello as often as it likes.
+        let Some(owner) = (!cells.is_empty()).then(|| self.number(worker)) else {
+            return self.finish_if_done(actions);
+        };
         if !receipt.fresh.is_empty() {
             let kept = self.picture.take(cells, pixels, receipt.fresh.cells, owner);
             let what = LeasedCells { lease: result.lease.0, tile: cells.tile.0, cells: receipt.fresh.cells };
@@ -527,15 +552,45 @@ impl Coordinator {
             let part = Message::Result { lane: 0, what, is_last: true, micros, work, blocks };
             self.records.push(Record::Result(part.frame_with(&kept)));
         }
-        if self.spans.len() < SPANS_MAX && !cells.is_empty() {
+        if self.spans.len() < SPANS_MAX {
             let start = self.now.saturating_sub(Duration::from_micros(micros));
             self.spans.push(Span { lane: owner, start, end: self.now, cells: cells.count() });
         }
+        self.finish_if_done(actions)
+    }
+
+    fn finish_if_done(&mut self, actions: &mut Vec<Action>) -> Result<(), String> {
         if self.scheduler.is_finished() && !self.finished {
             self.finished = true;
             self.end(actions);
         }
         Ok(())
+    }
+
+    /// Where a lane that returns cells stands in the list.
+    fn number(&mut self, worker: WorkerId) -> u32 {
+        let lane = self.workers.get_mut(&worker);
+        if let Some(number) = lane.as_ref().and_then(|lane| lane.number) {
+            return number;
+        }
+        // Fewer than `LANES_MAX`.
+        let next = self.lanes.len() as u32;
+        let number = match &lane {
+            Some(lane) if next < LANES_MAX - 1 => {
+                self.lanes.push(LaneInfo { worker: Arc::clone(&lane.name), lane: lane.lane });
+                next
+            }
+            _ => {
+                if next < LANES_MAX {
+                    self.lanes.push(LaneInfo { worker: "others".into(), lane: 0 });
+                }
+                LANES_MAX - 1
+            }
+        };
+        if let Some(lane) = lane {
+            lane.number = Some(number);
+        }
+        number
     }
 
     fn tell_notices(&mut self, actions: &mut Vec<Action>) {
@@ -633,11 +688,37 @@ pub enum CoordinatorError {
     /// The picture does not fit.
     #[error(transparent)]
     Budget(#[from] BudgetError),
+    /// Records belong to another picture.
+    #[error(
+        "what was recorded is of another picture; begin without it, or give the options that it was made with"
+    )]
+    OtherRecords,
     /// The checkpoint belongs to another picture.
     #[error(
-        "the checkpoint belongs to another picture; remove it, or give the options that it was made with"
+        "the checkpoint {} belongs to another picture; remove it, or give the options that it was made with",
+        path.display()
     )]
-    OtherPicture,
+    OtherPicture {
+        /// Its file.
+        path: std::path::PathBuf,
+    },
+    /// The file is not a checkpoint, or nobody can tell whose.
+    #[error(
+        "{} is there and is no checkpoint that can be read: {reason}; it is left as it is: move it away, or let the checkpoint have another name",
+        path.display()
+    )]
+    NoCheckpoint {
+        /// The file.
+        path: std::path::PathBuf,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// Another coordinator writes to it.
+    #[error("another coordinator is using the checkpoint {}; wait until that has ended, or let one of them have another name", path.display())]
+    CheckpointInUse {
+        /// Its file.
+        path: std::path::PathBuf,
+    },
     /// The checkpoint cannot be read or written.
     #[error("cannot read or write the checkpoint {}: {error}", path.display())]
     Checkpoint {

@@ -14,6 +14,7 @@ use super::file_copy::{CopyCounters, CopyOptions, FileCopy};
 use super::message::Job;
 use super::model_file::model_key;
 use super::reader::{Reader, ReaderCounters};
+use super::reconnect::Reconnect;
 use super::remote_source::RemoteSource;
 use super::worker::{Worker, WorkerAction, WorkerCounters, WorkerEvent};
 use super::{Action, RoleOptions};
@@ -30,10 +31,6 @@ use crate::transport::{PeerId, Transport, TransportEvent};
 
 /// How often a driver looks whether it is to stop.
 const LOOK: Duration = Duration::from_millis(50);
-/// How often a node tries to reach a coordinator that is gone, or not yet there.
-const RETRY: Duration = Duration::from_millis(500);
-/// The first of these waits, of which each is twice the one before: nodes of one job start together, and a small picture is soon over.
-const RETRY_FIRST: Duration = Duration::from_millis(20);
 /// How often the coordinator makes its checkpoint safe.
 const SAFE: Duration = Duration::from_secs(1);
 
@@ -56,6 +53,14 @@ pub enum NodeError {
         /// How long.
         waited: Duration,
         /// What the last attempt said.
+        reason: String,
+    },
+    /// The coordinator does not want this node, whenever it comes.
+    #[error("refused by the coordinator at {address}: {reason}")]
+    Refused {
+        /// Where.
+        address: String,
+        /// What it says.
         reason: String,
     },
     /// There was no worker for as long as the coordinator was to wait.
@@ -177,54 +182,11 @@ fn perform(
     }
 }
 
-/// Keeps a node connected to its coordinator.
-struct Reconnect<'a> {
-    transport: &'a dyn Transport,
-    address: &'a str,
-    patience: Duration,
-    lost: Option<Instant>,
-    last_try: Option<Instant>,
-    /// How long after the last try the next one is made.
-    wait: Duration,
-}
-
-impl<'a> Reconnect<'a> {
-    fn new(transport: &'a dyn Transport, address: &'a str, patience: Duration) -> Reconnect<'a> {
-        Reconnect { transport, address, patience, lost: None, last_try: None, wait: RETRY_FIRST }
-    }
-
-    /// To be called while the coordinator is not connected; a connection if one could be made.
-    fn attempt(&mut self) -> Result<Option<PeerId>, NodeError> {
-        let lost = *self.lost.get_or_insert_with(Instant::now);
-        if self.last_try.is_some_and(|last| last.elapsed() < self.wait) {
-            return Ok(None);
-        }
-        let result = self.transport.connect(self.address);
-        self.last_try = Some(Instant::now());
-        match result {
-            Ok(peer) => {
-                (self.lost, self.wait) = (None, RETRY_FIRST);
-                Ok(Some(peer))
-            }
-            Err(TransportError::Closed) => Err(TransportError::Closed.into()),
-            Err(error) if lost.elapsed() >= self.patience => Err(NodeError::NoCoordinator {
-                address: self.address.to_owned(),
-                waited: self.patience,
-                reason: error.to_string(),
-            }),
-            Err(_) => {
-                self.wait = (2 * self.wait).min(RETRY);
-                Ok(None)
-            }
-        }
-    }
-}
-
 /// Runs a reader until the picture is done or `stop` is set. It connects to the coordinator at `address`, again and again if need
-/// be, for at most `patience`.
+/// be, for at most `patience` without a connection in which the coordinator says anything.
 ///
 /// # Errors
-/// [`NodeError::NoCoordinator`], [`NodeError::Transport`].
+/// [`NodeError::NoCoordinator`], [`NodeError::Refused`], [`NodeError::Transport`].
 pub fn run_reader(
     transport: &dyn Transport,
     mut reader: Reader,
@@ -234,12 +196,10 @@ pub fn run_reader(
     log: &mut dyn FnMut(&str),
 ) -> Result<ReaderCounters, NodeError> {
     let start = Instant::now();
-    let mut reconnect = Reconnect::new(transport, address, patience);
+    let mut reconnect = Reconnect::new(transport, address, patience, reader.roles());
     let mut actions = Vec::new();
     while !reader.is_finished() && !stop.load(Ordering::Relaxed) {
-        if !reader.is_connected()
-            && let Some(peer) = reconnect.attempt()?
-        {
+        if let Some(peer) = reconnect.keep(reader.is_connected(), reader.is_welcome())? {
             reader.connected(peer, start.elapsed(), &mut actions);
         }
         match transport.receive(LOOK)? {
@@ -261,6 +221,9 @@ pub fn run_reader(
                     Action::Log(line) => log(&line),
                 }
             }
+        }
+        if let Some(reason) = reader.refusal() {
+            return Err(NodeError::Refused { address: address.to_owned(), reason: reason.to_owned() });
         }
     }
     Ok(reader.counters())
@@ -340,9 +303,10 @@ pub fn run_worker(
         }
         let mut engine = Engine {
             worker,
-            reconnect: Reconnect::new(control, address, options.patience),
+            reconnect: Reconnect::new(control, address, options.patience, options.roles),
             control,
             events,
+            job: 0,
             start: Instant::now(),
             stop,
             log,
@@ -361,11 +325,11 @@ pub fn run_worker(
 }
 
 /// Brings what the transport receives to where the lanes' results go too.
-fn pump(control: &dyn Transport, events: &SyncSender<WorkerEvent>, is_over: &AtomicBool) {
+fn pump(control: &dyn Transport, events: &SyncSender<Queued>, is_over: &AtomicBool) {
     while !is_over.load(Ordering::Relaxed) {
         match control.receive(LOOK) {
             Ok(Some(event)) => {
-                if events.send(WorkerEvent::Network(event)).is_err() {
+                if events.send((None, WorkerEvent::Network(event))).is_err() {
                     return;
                 }
             }
@@ -380,7 +344,9 @@ struct Engine<'a> {
     worker: Worker,
     reconnect: Reconnect<'a>,
     control: &'a dyn Transport,
-    events: Receiver<WorkerEvent>,
+    events: Receiver<Queued>,
+    /// The number of the job whose lanes are heard.
+    job: u64,
     start: Instant,
     stop: &'a AtomicBool,
     log: &'a mut dyn FnMut(&str),
@@ -394,6 +360,10 @@ struct Engine<'a> {
     notes: Receiver<String>,
 }
 
+/// An event, and the number of the job whose lane it came from, if it came from a lane: more of a job may be in the queue when the next
+/// one begins.
+type Queued = (Option<u64>, WorkerEvent);
+
 /// How a job ended.
 enum End {
     Over,
@@ -405,7 +375,7 @@ impl Engine<'_> {
         &mut self,
         options: &WorkerOptions,
         data: &Arc<dyn Transport>,
-        events_in: &SyncSender<WorkerEvent>,
+        events_in: &SyncSender<Queued>,
     ) -> Result<WorkerReport, NodeError> {
         let mut report = WorkerReport::default();
         let mut next: Option<Box<Job>> = None;
@@ -455,14 +425,19 @@ impl Engine<'_> {
             waits_since = Instant::now();
         }
         report.worker = self.worker.counters();
-        match self.worker.failure() {
-            Some(reason) => Err(NodeError::CannotRender { reason: reason.to_owned() }),
-            None => Ok(report),
+        let (failure, refusal) = (self.worker.failure(), self.worker.refusal());
+        match (failure.map(str::to_owned), refusal.map(str::to_owned)) {
+            (Some(reason), _) => Err(NodeError::CannotRender { reason }),
+            (None, Some(reason)) => {
+                Err(NodeError::Refused { address: self.reconnect.address().to_owned(), reason })
+            }
+            (None, None) => Ok(report),
         }
     }
 
     fn is_over(&self) -> bool {
-        self.worker.is_finished() || self.worker.failure().is_some() || self.stop.load(Ordering::Relaxed)
+        let is_of_no_use = self.worker.failure().is_some() || self.worker.refusal().is_some();
+        self.worker.is_finished() || is_of_no_use || self.stop.load(Ordering::Relaxed)
     }
 
     /// Tells the coordinator, and gives up.
@@ -473,13 +448,14 @@ impl Engine<'_> {
 
     /// Waits for the next event and lets the worker act on it.
     fn turn(&mut self) -> Result<(), NodeError> {
-        if !self.worker.is_connected()
-            && let Some(peer) = self.reconnect.attempt()?
-        {
+        let (is_connected, is_welcome) = (self.worker.is_connected(), self.worker.is_welcome());
+        if let Some(peer) = self.reconnect.keep(is_connected, is_welcome)? {
             self.handle(WorkerEvent::Connected(peer));
         }
         match self.events.recv_timeout(LOOK) {
-            Ok(event) => self.handle(event),
+            // What a lane of another job left in the queue is nothing to this one.
+            Ok((job, event)) if job.is_none_or(|job| job == self.job) => self.handle(event),
+            Ok(_) => {}
             Err(RecvTimeoutError::Timeout) => {
                 let mut actions = Vec::new();
                 self.worker.tick(self.start.elapsed(), &mut actions);
@@ -555,7 +531,7 @@ impl Engine<'_> {
         options: &WorkerOptions,
         job: &Job,
         source: &Source,
-        events_in: &SyncSender<WorkerEvent>,
+        events_in: &SyncSender<Queued>,
         report: &mut WorkerReport,
     ) -> Result<End, RenderError> {
         let blocks = source.blocks();
@@ -563,6 +539,8 @@ impl Engine<'_> {
             let reason = "the model here is not the one that is rendered".to_owned();
             return Err(RenderError::Setting { what: "model", reason });
         }
+        self.job += 1;
+        let number = self.job;
         let lanes = options.lanes.max(1);
         let budget = &options.budget;
         let copying = self.copying(options, source);
@@ -587,16 +565,18 @@ impl Engine<'_> {
                     to_lanes.push(regions_in);
                     let abort = &abort;
                     let (events, totals) = (events_in.clone(), totals_in.clone());
+                    // False if the engine is gone.
+                    let tell = move |event| events.send((Some(number), event)).is_ok();
                     scope.spawn(move || {
                         let mut done = RegionCounters::default();
                         let result = regions_by.renderer(abort).and_then(|mut renderer| {
-                            let result = serve(lane, &mut renderer, &regions, &events);
+                            let result = serve(lane, &mut renderer, &regions, &tell);
                             done = renderer.counters();
                             result
                         });
                         if let Err(error) = result {
                             // The engine may be gone already.
-                            let _ = events.send(WorkerEvent::Failed { reason: error.to_string() });
+                            let _ = tell(WorkerEvent::Failed { reason: error.to_string() });
                         }
                         let _ = totals.send(done);
                     });
@@ -627,7 +607,7 @@ impl Engine<'_> {
                         left -= 1;
                     }
                     match self.events.recv_timeout(Duration::from_millis(1)) {
-                        Ok(WorkerEvent::Network(event)) => kept.push(event),
+                        Ok((_, WorkerEvent::Network(event))) => kept.push(event),
                         Ok(_) | Err(RecvTimeoutError::Timeout) => {}
                         Err(RecvTimeoutError::Disconnected) => break,
                     }
@@ -754,7 +734,7 @@ fn serve(
     lane: u16,
     renderer: &mut RegionRenderer<'_>,
     regions: &Receiver<Region>,
-    events: &SyncSender<WorkerEvent>,
+    events: &dyn Fn(WorkerEvent) -> bool,
 ) -> Result<(), RenderError> {
     while let Ok(region) = regions.recv() {
         let (start, before) = (Instant::now(), work(&renderer.counters().trace));
@@ -762,7 +742,7 @@ fn serve(
         let blocks = renderer.take_touched();
         let work = work(&renderer.counters().trace) - before;
         let event = WorkerEvent::Rendered { lane, pixels, time: start.elapsed(), work, blocks };
-        if events.send(event).is_err() {
+        if !events(event) {
             return Ok(());
         }
     }
@@ -787,3 +767,6 @@ impl std::fmt::Debug for WorkerOptions {
             .finish_non_exhaustive()
     }
 }
+
+#[cfg(test)]
+mod tests;

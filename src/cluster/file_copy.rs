@@ -2,11 +2,13 @@
 //!
 //! Blocks come in the order of the file, a few at a time, and are written only when they match their checksums in the directory; so
 //! what lies on disk is always the beginning of the file, and a later attempt goes on after the last block that is still sound.
-//! Directory and materials come after the blocks and the header comes last, as a compile writes it; then the whole is opened and
-//! checked under a name of its own, and gets its real name only when nothing is wrong.
+//! Pages of attributes, directories and materials come after the blocks and the header comes last, as a compile writes it; the pages are
+//! held against their checksums, the whole is opened and checked under a name of its own, and it gets its real name only when nothing is
+//! wrong.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -122,8 +124,11 @@ impl From<SourceError> for Trouble {
 impl FileCopy {
     /// Most memory that a copy of this model takes, beside the model: a piece of the file, and while the result is checked, its directory.
     pub fn bytes_needed(model: &Model) -> Bytes {
-        let piece = u64::from(RANGE_BYTES_MAX).max(model.stored_bytes_max().0);
-        Bytes(piece + 160 * model.blocks.len() as u64 + (1 << 20))
+        let pages = &model.attributes;
+        let piece =
+            u64::from(RANGE_BYTES_MAX).max(model.stored_bytes_max().0).max(pages.stored_bytes_max().0);
+        let directories = 160 * model.blocks.len() as u64 + 56 * pages.entries().len() as u64;
+        Bytes(piece + directories + (1 << 20))
     }
 
     /// A copy of the file of `model`.
@@ -291,10 +296,8 @@ impl FileCopy {
         let blocks = &self.model.blocks;
         let end = blocks.last().map_or(0, |entry| entry.offset + u64::from(entry.stored_bytes));
         let start = blocks.first().map_or(0, |entry| entry.offset);
-        // Directory and materials are known here, but not to their last byte. No node makes this one fill its disk.
-        let length_max = end + 128 * blocks.len() as u64 + (64 << 20);
         let length = fetch.file_bytes;
-        if length < end || length > length_max {
+        if !lengths(&self.model).contains(&length) {
             return Err(self.damaged());
         }
         let mut piece = Vec::new();
@@ -311,6 +314,17 @@ impl FileCopy {
                 at += piece.len() as u64;
             }
         }
+        for page in self.model.attributes.entries().iter().filter(|page| page.stored_bytes > 0) {
+            if stop.load(Ordering::Relaxed) {
+                return Err(Trouble::Stopped);
+            }
+            piece.clear();
+            piece.resize(page.stored_bytes as usize, 0);
+            read_at(file, page.offset, &mut piece).map_err(Trouble::Disk)?;
+            if checksum(&piece) != page.checksum {
+                return Err(self.damaged());
+            }
+        }
         // An earlier attempt at another model may have been longer.
         file.set_len(length).map_err(Trouble::Disk)?;
         file.sync_all().map_err(Trouble::Disk)?;
@@ -321,6 +335,20 @@ impl FileCopy {
         }
         fs::rename(path, &self.options.path).map_err(Trouble::Disk)
     }
+}
+
+/// For materials and the names of images.
+const LENGTH_ROOM: u64 = 64 << 20;
+
+/// How long the file of a model may be. Directories, materials and the names of images are known, but not to their last byte; no node makes
+/// another fill its disk.
+fn lengths(model: &Model) -> RangeInclusive<u64> {
+    let pages = model.attributes.entries();
+    let end_of_blocks = model.blocks.last().map_or(0, |entry| entry.offset + u64::from(entry.stored_bytes));
+    // Pages lie behind the blocks; one without bytes may be anywhere.
+    let ends = pages.iter().filter(|page| page.stored_bytes > 0);
+    let end = ends.map(|page| page.offset + u64::from(page.stored_bytes)).fold(end_of_blocks, u64::max);
+    end..=end + 128 * model.blocks.len() as u64 + 24 * pages.len() as u64 + LENGTH_ROOM
 }
 
 #[cfg(unix)]
@@ -359,5 +387,40 @@ impl std::fmt::Debug for CopyOptions {
 impl std::fmt::Debug for FileCopy {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("FileCopy").finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::MemoryBudget;
+    use crate::compile::{CompileOptions, Control, compile_file};
+
+    #[test]
+    fn pages_of_attributes_count_for_the_length_of_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let (input, output) = (folder.path().join("a.obj"), folder.path().join("a.outcrop"));
+        let mut text = String::new();
+        for i in 0..3000 {
+            // Normals that do not compress.
+            let normal = |k: i32| f64::from((i * 7919 + k * 104_729) % 10_007) / 10_007.0 + 0.001;
+            text += &format!("v {i} 0 0\nv {i} 1 0\nv {i} 0 1\nvn {} {} 1\n", normal(1), normal(2));
+            let at = 3 * i + 1;
+            text += &format!("f {at}//{n} {}//{n} {}//{n}\n", at + 1, at + 2, n = i + 1);
+        }
+        fs::write(&input, text).unwrap();
+        let budget = MemoryBudget::new(Bytes::mib(64));
+        compile_file(&input, &output, &CompileOptions::default(), &budget, &mut |_| Control::Continue)
+            .unwrap();
+        let source = DiskSource::open(&output).unwrap();
+        let model = source.model();
+        let (file_bytes, materials_max) = (fs::metadata(&output).unwrap().len(), 1000);
+        let pages = model.attributes.entries().iter().map(|page| u64::from(page.stored_bytes));
+        assert!(pages.sum::<u64>() > materials_max);
+        let lengths = lengths(model);
+        assert!(lengths.contains(&file_bytes));
+        // However many pages there are, the room is for other things.
+        let room = lengths.end() - file_bytes;
+        assert!((LENGTH_ROOM - materials_max..=LENGTH_ROOM).contains(&room), "{room}");
     }
 }

@@ -11,7 +11,7 @@ use crate::render::RenderSettings;
 use crate::scene::Scene;
 
 /// The version of these messages; the first thing that a node says.
-pub const MESSAGE_VERSION: u16 = 5;
+pub const MESSAGE_VERSION: u16 = 6;
 
 /// What a node does in a cluster beside coordinating.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -165,6 +165,11 @@ pub enum Message {
         /// Length of the whole file.
         file_bytes: u64,
     },
+    /// Coordinator to a node whose [`Message::Hello`] it does not accept: it need not try again. The connection ends then.
+    Refused {
+        /// Why.
+        reason: String,
+    },
 }
 
 /// Most blocks in one [`Message::Read`].
@@ -242,7 +247,9 @@ impl Message {
                 require(addresses.len() <= READERS_MAX, "there are too many readers")?;
                 addresses.iter().try_for_each(|address| text(address))
             }
-            Message::Failed { reason } | Message::NoBlock { reason, .. } => text(reason),
+            Message::Failed { reason } | Message::NoBlock { reason, .. } | Message::Refused { reason } => {
+                text(reason)
+            }
             Message::Read { blocks } => {
                 require((1..=BLOCKS_MAX).contains(&blocks.len()), "it asks for too many blocks, or none")
             }

@@ -19,6 +19,7 @@ mod message;
 mod model_file;
 mod picture;
 mod reader;
+mod reconnect;
 mod remote_source;
 mod worker;
 

@@ -41,7 +41,8 @@ impl Picture {
     /// Whether `bytes` are the pixels of just these cells.
     pub fn fits(&self, cells: TileCells, bytes: &[u8]) -> bool {
         let exists = self.grid.cells_of(cells.tile);
-        cells.cells & !exists == 0 && self.grid.pixels(cells) * PIXEL_BYTES as u64 == bytes.len() as u64
+        let is_there = cells.tile.0 < self.grid.tile_count() && cells.cells & !exists == 0;
+        is_there && self.grid.pixels(cells) * PIXEL_BYTES as u64 == bytes.len() as u64
     }
 
     /// Takes over the cells `fresh` of those that `bytes` hold, and gives the bytes of these alone. `bytes` must fit `cells`.

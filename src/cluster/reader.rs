@@ -60,6 +60,9 @@ pub struct Reader {
     /// Since when the picture is done.
     finished: Option<Duration>,
     is_over: bool,
+    /// Whether the coordinator has said anything in this connection.
+    is_welcome: bool,
+    refused: Option<String>,
 }
 
 /// A block in memory.
@@ -110,12 +113,15 @@ impl Reader {
             peers: HashSet::new(),
             finished: None,
             is_over: false,
+            is_welcome: false,
+            refused: None,
         })
     }
 
     /// The connection to the coordinator was made.
     pub fn connected(&mut self, coordinator: PeerId, now: Duration, actions: &mut Vec<Action>) {
         self.coordinator = Some(coordinator);
+        self.is_welcome = false;
         self.last_alive = now;
         let hello = Message::Hello {
             version: MESSAGE_VERSION,
@@ -132,9 +138,23 @@ impl Reader {
         self.coordinator.is_some()
     }
 
+    /// Whether the coordinator is connected and has said something: the connection is of use.
+    pub fn is_welcome(&self) -> bool {
+        self.is_connected() && self.is_welcome
+    }
+
+    /// Why the coordinator does not want this reader, if it has said so; to try again is of no use.
+    pub fn refusal(&self) -> Option<&str> {
+        self.refused.as_deref()
+    }
+
     /// Whether the picture is done, nobody wants blocks any more, and the reader may end.
     pub fn is_finished(&self) -> bool {
         self.is_over
+    }
+
+    pub(super) fn roles(&self) -> RoleOptions {
+        self.options
     }
 
     /// What it did so far.
@@ -151,7 +171,13 @@ impl Reader {
     pub fn handle(&mut self, now: Duration, event: TransportEvent, actions: &mut Vec<Action>) {
         match event {
             TransportEvent::Frame { peer, bytes } => match Message::parse(&bytes) {
-                Ok((Message::Finished, _)) if Some(peer) == self.coordinator => self.finished = Some(now),
+                Ok((Message::Refused { reason }, _)) if Some(peer) == self.coordinator => {
+                    self.refused = Some(reason);
+                }
+                Ok((Message::Finished, _)) if Some(peer) == self.coordinator => {
+                    self.is_welcome = true;
+                    self.finished = Some(now);
+                }
                 Ok((Message::Read { blocks }, _)) => {
                     for block in blocks {
                         let frame = self.block_frame(block);
@@ -163,7 +189,9 @@ impl Reader {
                     actions.push(Action::Send { to: peer, frame });
                 }
                 // What the coordinator says to everybody.
-                Ok((Message::Alive | Message::Finished | Message::Job(_) | Message::Readers { .. }, _)) => {}
+                Ok((Message::Alive | Message::Finished | Message::Job(_) | Message::Readers { .. }, _)) => {
+                    self.is_welcome |= Some(peer) == self.coordinator;
+                }
                 Ok(_) => self.refuse(peer, "a message that is not for readers".to_owned(), actions),
                 Err(error) => self.refuse(peer, error.to_string(), actions),
             },

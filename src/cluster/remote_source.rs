@@ -229,6 +229,12 @@ impl RemoteSource {
         (read, false)
     }
 
+    /// What the node has on its own disk, if that gives attributes.
+    fn attributes(&self) -> Option<&Arc<dyn BlockSource>> {
+        let own = self.fallback.iter().chain(self.copy.get());
+        own.into_iter().find(|own| own.gives_attributes())
+    }
+
     /// Waits until something changes, or until a time. One of those that wait for an answer receives for all.
     fn wait(&self, state: &mut MutexGuard<'_, State>, until: Duration, for_answer: bool) {
         let left = until.saturating_sub(self.now());
@@ -256,15 +262,15 @@ impl BlockSource for RemoteSource {
         &self.model
     }
 
-    /// Readers serve blocks; attributes come from the node's own disk, if it has the file.
+    /// Readers serve blocks; attributes come from the node's own disk, if it has the file or a copy of it.
     fn gives_attributes(&self) -> bool {
-        self.fallback.as_ref().is_some_and(|fallback| fallback.gives_attributes())
+        self.attributes().is_some()
     }
 
     fn read_attributes(&self, page: u32, into: &mut Vec<u8>) -> Result<(), SourceError> {
         into.clear();
-        match &self.fallback {
-            Some(fallback) => fallback.read_attributes(page, into),
+        match self.attributes() {
+            Some(own) => own.read_attributes(page, into),
             None => Err(SourceError::NoAttributes { page, name: NAME.to_owned() }),
         }
     }

@@ -135,6 +135,9 @@ pub struct Worker {
     counters: WorkerCounters,
     finished: bool,
     failed: Option<String>,
+    /// Whether the coordinator has said anything in this connection.
+    is_welcome: bool,
+    refused: Option<String>,
 }
 
 impl Worker {
@@ -159,6 +162,8 @@ impl Worker {
             counters: WorkerCounters::default(),
             finished: false,
             failed: None,
+            is_welcome: false,
+            refused: None,
         }
     }
 
@@ -175,7 +180,7 @@ impl Worker {
             WorkerEvent::Connected(peer) => {
                 self.counters.reconnected += u64::from(self.job.is_some());
                 self.coordinator = Some(peer);
-                self.is_confirmed = false;
+                (self.is_confirmed, self.is_welcome) = (false, false);
                 (self.last_heard, self.last_told) = (now, now);
                 // This connection's coordinator may not be the one that gave what is held.
                 self.lanes.iter_mut().for_each(|lane| lane.asks = false);
@@ -218,6 +223,16 @@ impl Worker {
     /// Whether the coordinator is connected; if not, the driver tries again.
     pub fn is_connected(&self) -> bool {
         self.coordinator.is_some()
+    }
+
+    /// Whether the coordinator is connected and has said something: the connection is of use.
+    pub fn is_welcome(&self) -> bool {
+        self.is_connected() && self.is_welcome
+    }
+
+    /// Why the coordinator does not want this worker, if it has said so; to try again is of no use.
+    pub fn refusal(&self) -> Option<&str> {
+        self.refused.as_deref()
     }
 
     /// Whether the picture is done and the worker may end.
@@ -278,8 +293,13 @@ impl Worker {
         now: Duration,
         actions: &mut Vec<WorkerAction>,
     ) -> Result<(), String> {
+        self.is_welcome = !matches!(message, Message::Refused { .. });
         match message {
             Message::Alive => Ok(()),
+            Message::Refused { reason } => {
+                self.refused = Some(reason);
+                Ok(())
+            }
             Message::Finished => {
                 self.finished = true;
                 Ok(())
@@ -295,7 +315,7 @@ impl Worker {
             Message::Assign { lane, what, stop_after_us } => {
                 let grid = self.grid.as_ref().ok_or("an assignment before the job")?;
                 let exists = grid.cells_of(TileId(what.tile));
-                if what.cells & !exists != 0 {
+                if what.tile >= grid.tile_count() || what.cells & !exists != 0 {
                     return Err("an assignment of cells that the picture does not have".to_owned());
                 }
                 let lane = self.lanes.get_mut(usize::from(lane)).ok_or("an assignment for no lane")?;

@@ -457,8 +457,9 @@ impl TileScheduler for AdaptiveScheduler {
     ) -> Result<Receipt, ScheduleError> {
         self.advance(now);
         let TileCells { tile, cells } = result.cells;
-        if cells & !self.ledger.grid().cells_of(tile) != 0 {
-            let tile_count = self.ledger.grid().tile_count();
+        let tile_count = self.ledger.grid().tile_count();
+        // No cells at all are a lease's end, but only of a tile that exists.
+        if tile.0 >= tile_count || cells & !self.ledger.grid().cells_of(tile) != 0 {
             return Err(ScheduleError::NoSuchCells { tile: tile.0, cells, tile_count });
         }
         let slot = self.crew.slot(worker);

@@ -135,7 +135,8 @@ pub trait TileScheduler: Send {
     /// of leases from before a restart.
     ///
     /// # Errors
-    /// [`ScheduleError::NoSuchCells`] for cells that the image does not have; the result then does not count.
+    /// [`ScheduleError::NoSuchCells`] for a tile, or cells, that the image does not have; the result then does not count. No cells of a tile
+    /// that exists are no error: so a lease ends of which nothing is left.
     fn complete(
         &mut self,
         worker: WorkerId,

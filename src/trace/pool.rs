@@ -424,7 +424,7 @@ impl Kernel for Closest<'_, '_> {
                 let prepared = Prepared { group: &group, lane: 0, query: &mut query, local: &mut local };
                 let best = &mut answers.hits[last].1;
                 let stopped = closest_hit::<S, P, _>(simd, &mut work, prepared, &ray, after, from, best)
-                    .map_err(|error| error.at(index_of_last(&requests, &new)))?;
+                    .map_err(|error| error.at(index_of_last(requests, &new)))?;
                 let Some(block) = stopped else { break };
                 place = place.or_else(|| suspended.take_place());
                 if let Some(place) = place.take() {
@@ -504,7 +504,7 @@ impl Kernel for Any<'_, '_> {
                     &mut unvisited,
                     is_resumed,
                 )
-                .map_err(|error| error.at(index_of_last(&requests, &new)))?;
+                .map_err(|error| error.at(index_of_last(requests, &new)))?;
                 if let Some(answer) = answer {
                     answers.occlusions.push((tag, answer));
                     break;

@@ -260,6 +260,9 @@ fn bad_members(key: &SharedKey, address: &str) -> u32 {
         vec![wrong_version],
         vec![hello.frame(), Message::Request { lane: 7 }.frame()],
         vec![hello.frame(), result(u32::MAX, 1, 768)],
+        // Nothing of a tile that does not exist: the picture has twelve.
+        vec![hello.frame(), result(u32::MAX, 0, 0)],
+        vec![hello.frame(), result(12, 0, 0)],
         vec![hello.frame(), result(0, 1, 767)],
         vec![hello.frame(), result(0, u64::MAX, 12)],
         vec![hello.frame(), Message::Finished.frame()],
@@ -335,6 +338,7 @@ fn a_render_does_not_notice_them() {
         let told = |reason: &str| lines.iter().filter(|line| line.contains(reason)).count();
         assert_eq!(told("it speaks version 99"), 1, "{lines:#?}");
         assert_eq!(told("it has no such lane"), 1, "{lines:#?}");
-        assert_eq!(told("joins as a worker"), 8, "{lines:#?}");
+        assert_eq!(told("joins as a worker"), 10, "{lines:#?}");
+        assert_eq!(told("pixels that do not fit"), 5, "{lines:#?}");
     });
 }

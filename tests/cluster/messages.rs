@@ -35,6 +35,7 @@ fn messages() -> Vec<(Message, Vec<u8>)> {
         Message::Finished,
         Message::Read { blocks: vec![0, 1, u32::MAX] },
         Message::NoBlock { block: 7, reason: "gone".to_owned() },
+        Message::Refused { reason: "the coordinator has another model".to_owned() },
         Message::ReadFile { offset: 1 << 50, length: RANGE_BYTES_MAX },
     ];
     let mut blocks = BlockSketch::default();
@@ -98,6 +99,7 @@ fn what_makes_no_sense_is_refused() {
         Message::ReadFile { offset: 0, length: 0 },
         Message::ReadFile { offset: 0, length: RANGE_BYTES_MAX + 1 },
         Message::Failed { reason: long.clone() },
+        Message::Refused { reason: long.clone() },
         Message::Readers { addresses: vec![long] },
         Message::Readers { addresses: vec![String::new(); 2000] },
         Message::Result {

@@ -14,7 +14,7 @@ use outcrop::compile::Control;
 use outcrop::render::WaitingRays;
 use outcrop::scene::{Environment, EnvironmentImage};
 use outcrop::source::testing::{FaultRates, FaultySource};
-use outcrop::transport::{LocalNetwork, SharedKey, TcpOptions, TcpTransport, Transport};
+use outcrop::transport::{LocalNetwork, SharedKey, TcpOptions, TcpTransport, Transport, TransportEvent};
 use outcrop::units::Bytes;
 use outcrop::{BlockSource, MemoryBudget};
 
@@ -280,10 +280,15 @@ fn a_worker_with_another_model_is_turned_away() {
     let coordinator = Coordinator::new(wrong, coordinator_options(1, 0), &budget).unwrap();
     let stop = AtomicBool::new(false);
     thread::scope(|scope| {
-        scope.spawn(|| {
+        let worker = scope.spawn(|| {
             let (control, data) = (Network::open(&network, "worker"), Network::open(&network, "data"));
             let options = worker_options("worker", 1, Some(Arc::new(model())));
-            let _ = run_worker(&*control, &data, "coordinator", &options, &stop, &mut |_| {});
+            run_worker(&*control, &data, "coordinator", &options, &stop, &mut |_| {}).map(drop)
+        });
+        let reader = scope.spawn(|| {
+            let transport = Network::open(&network, "reader");
+            let reader = reader_of(&*transport, "reader", false);
+            run_reader(&*transport, reader, "coordinator", PATIENCE, &stop, &mut |_| {}).map(drop)
         });
         let mut lines = Vec::new();
         let mut observe = |_: &Coordinator, log: &[String]| {
@@ -294,7 +299,60 @@ fn a_worker_with_another_model_is_turned_away() {
         stop.store(true, Ordering::Relaxed);
         assert!(matches!(result, Err(NodeError::NoWorkers { .. })));
         assert!(lines.iter().any(|line| line.contains("another model")), "{lines:?}");
+        // Each was told once, and did not come again.
+        assert_eq!(lines.iter().filter(|line| line.contains("another model")).count(), 2, "{lines:?}");
+        for node in [worker, reader] {
+            let error = node.join().unwrap().unwrap_err();
+            assert!(matches!(error, NodeError::Refused { .. }), "{error}");
+            assert!(error.to_string().contains("the coordinator has another model"), "{error}");
+        }
     });
+}
+
+/// A coordinator that takes connections and says nothing, or ends each of them, is none.
+#[test]
+fn patience_is_for_a_coordinator_that_says_something() {
+    let patience = Duration::from_millis(300);
+    for hangs_up in [false, true] {
+        let network = LocalNetwork::new();
+        let hub = Network::open(&network, "coordinator");
+        let (never, over) = (AtomicBool::new(false), AtomicBool::new(false));
+        let connections = thread::scope(|scope| {
+            let hub = scope.spawn(|| {
+                let mut connections = 0;
+                while !over.load(Ordering::Relaxed) {
+                    if let Some(TransportEvent::Connected { peer, .. }) =
+                        hub.receive(Duration::from_millis(5)).unwrap()
+                    {
+                        connections += 1;
+                        if hangs_up {
+                            hub.disconnect(peer);
+                        }
+                    }
+                }
+                connections
+            });
+            let worker = scope.spawn(|| {
+                let (control, data) = (Network::open(&network, "worker"), Network::open(&network, "data"));
+                let options = WorkerOptions { patience, ..worker_options("worker", 1, None) };
+                run_worker(&*control, &data, "coordinator", &options, &never, &mut |_| {}).map(drop)
+            });
+            let reader = scope.spawn(|| {
+                let transport = Network::open(&network, "reader");
+                let reader = reader_of(&*transport, "reader", false);
+                run_reader(&*transport, reader, "coordinator", patience, &never, &mut |_| {}).map(drop)
+            });
+            for node in [worker, reader] {
+                let error = node.join().unwrap().unwrap_err();
+                assert!(matches!(error, NodeError::NoCoordinator { .. }), "{error}");
+                assert!(error.to_string().contains("says nothing"), "{error}");
+            }
+            over.store(true, Ordering::Relaxed);
+            hub.join().unwrap()
+        });
+        // Waits double, from 20 ms on.
+        assert!(if hangs_up { (4..=12).contains(&connections) } else { connections == 2 }, "{connections}");
+    }
 }
 
 #[test]

@@ -11,7 +11,8 @@ use self::world::{World, event};
 use super::*;
 use crate::access::BlockSketch;
 use crate::error::ScheduleError;
-use crate::units::{BlockId, LeaseId, TileId, WorkerId};
+use crate::schedule::parts::{PartCells, PartNotice, PartOptions, PartReport};
+use crate::units::{BlockId, LeaseId, SubCoordinatorId, TileId, WorkerId};
 
 /// Every policy, and every switch in both positions.
 fn all_options() -> impl Strategy<Value = SchedulerOptions> {
@@ -96,6 +97,25 @@ fn what_cannot_be_is_refused() {
         assert!(bad.cells.cells & !exists != 0);
         assert!(matches!(scheduler.complete(stranger, &bad, now), Err(ScheduleError::NoSuchCells { .. })));
     }
+    // Nothing of a tile that does not exist is not nothing of one that does.
+    for tile in [tiles, u32::MAX] {
+        let bad = result(tile, 0);
+        let no_such = ScheduleError::NoSuchCells { tile, cells: 0, tile_count: tiles };
+        assert_eq!(scheduler.complete(stranger, &bad, now), Err(no_such.clone()));
+        let parts = PartOptions::new(1);
+        let mut sub = SubScheduler::new(200, 100, SchedulerOptions::new(2), parts).unwrap();
+        sub.told(&PartNotice::Grant(vec![PartCells { cells: bad.cells, work: 1.0 }]), now);
+        assert_eq!(sub.complete(stranger, &bad, now), Err(no_such.clone()));
+        let mut top = PartScheduler::new(scheduler.grid().clone(), parts).unwrap();
+        let done = vec![PartCells { cells: bad.cells, work: 1.0 }];
+        let given_up = Some(vec![bad.cells]);
+        for report in
+            [PartReport { done, ..PartReport::default() }, PartReport { given_up, ..PartReport::default() }]
+        {
+            assert_eq!(top.report(SubCoordinatorId(1), &report, now), Err(no_such.clone()));
+        }
+    }
+    assert_eq!(scheduler.complete(stranger, &result(0, 0), now).unwrap().fresh.count(), 0);
     assert_eq!(scheduler.progress().cells_done, 0);
     // Numbers that are none do no harm.
     assert_eq!(scheduler.complete(stranger, &result(0, 1), now).unwrap().fresh.count(), 1);
