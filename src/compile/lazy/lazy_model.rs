@@ -243,10 +243,9 @@ impl LazyModel {
             false => Contents::read(&working, &made_for)?,
         };
         let Some(contents) = contents else {
-            working.truncate(0)?;
+            working.empty()?;
             return Ok(Err(working));
         };
-        working.keep();
         working.count_existing(working.len()?)?;
         let seconds = PhaseSeconds::default();
         let mut model = LazyModel::assemble(

@@ -17,8 +17,8 @@ pub(super) struct WorkingFile {
     file: File,
     path: PathBuf,
     quota: DiskQuota,
-    /// Whether another run can go on with it.
-    is_kept: bool,
+    /// Emptied, and nobody has said yet that another run can go on with it.
+    is_useless: bool,
 }
 
 impl WorkingFile {
@@ -49,7 +49,7 @@ impl WorkingFile {
             }
             // Between open and lock the owner may have finished and removed it.
             if same_file(&file, &path).map_err(write)? {
-                return Ok(WorkingFile { file, path, quota, is_kept: false });
+                return Ok(WorkingFile { file, path, quota, is_useless: false });
             }
         }
     }
@@ -95,10 +95,17 @@ impl WorkingFile {
         self.quota.take(bytes).map_err(|error| CompileError::Write { path: self.path.clone(), error })
     }
 
-    /// Says that another run can go on with it. A file of which nobody says so goes when this is dropped: it is of no use to
-    /// anybody, and on a full disk in the way.
+    /// Takes everything away, to begin anew. Unless [`WorkingFile::keep`] is called, the file goes when this is dropped: what has
+    /// no header yet is of no use to anybody, and on a full disk in the way.
+    pub fn empty(&mut self) -> Result<(), CompileError> {
+        self.truncate(0)?;
+        self.is_useless = true;
+        Ok(())
+    }
+
+    /// Says that another run can go on with what was written since.
     pub fn keep(&mut self) {
-        self.is_kept = true;
+        self.is_useless = false;
     }
 
     /// Takes the name away; the file goes when it is closed. Where the system refuses, it stays.
@@ -124,7 +131,7 @@ impl WorkingFile {
 impl Drop for WorkingFile {
     fn drop(&mut self) {
         // The lock still holds, so the name is that of this file.
-        if !self.is_kept && same_file(&self.file, &self.path).unwrap_or(false) {
+        if self.is_useless && same_file(&self.file, &self.path).unwrap_or(false) {
             self.remove();
         }
     }
