@@ -10,6 +10,7 @@ use outcrop::compile::{
 };
 use outcrop::error::CompileError;
 use outcrop::geom::{Lattice, Precision};
+use outcrop::model::{CompileRecord, PrecisionOrigin};
 use outcrop::procedural::Gears;
 use outcrop::procedural::export::{write_obj, write_ply};
 use outcrop::units::Bytes;
@@ -251,6 +252,36 @@ fn a_chosen_lattice_is_used_for_any_input() {
             assert_eq!(assert_on_lattice(&mesh, &report, &bytes).exponent, exponent);
             assert!(compile(&mesh, &options, TIGHT).1 == bytes);
         }
+    }
+}
+
+#[test]
+fn the_file_tells_who_chose_its_precision_and_what_was_left_out() {
+    let automatic = |tolerance_met| PrecisionOrigin::Automatic { tolerance_met };
+    let mut with_a_hole = sheet(3, [0.0; 3], 1.0);
+    let Vertices::Float64(vertices) = &mut with_a_hole.vertices else { unreachable!() };
+    vertices[0][1] = f64::NAN;
+    let users = with_a_hole.triangles.iter().filter(|triangle| triangle.contains(&0)).count() as u64;
+    // A far vertex that no triangle uses can force a lattice that is coarser than the edges call for.
+    let mut with_a_far_vertex = sheet(3, [1e7, 0.0, 0.0], 1e-9);
+    let Vertices::Float64(vertices) = &mut with_a_far_vertex.vertices else { unreachable!() };
+    vertices.push([1e30, 0.0, 0.0]);
+    let plain = sheet(3, [0.0; 3], 1.0);
+    for (mesh, precision, origin, skipped) in [
+        (&plain, PrecisionChoice::Auto, automatic(true), 0),
+        (&plain, PrecisionChoice::Float32, PrecisionOrigin::Given, 0),
+        (&plain, PrecisionChoice::Lattice { exponent: -20 }, PrecisionOrigin::Given, 0),
+        (&with_a_hole, PrecisionChoice::Auto, automatic(true), users),
+        (&with_a_far_vertex, PrecisionChoice::Auto, automatic(false), 0),
+    ] {
+        let place = Place::new();
+        let options = CompileOptions { skip_not_finite: true, ..options(precision) };
+        let report =
+            compile_with(mesh, &options, ROOMY, &place.output(), &mut |_| Control::Continue).unwrap();
+        let (model, _) = read_back(&std::fs::read(place.output()).unwrap());
+        assert_eq!(model.compiled, Some(CompileRecord { precision: origin, skipped }));
+        let met = origin != automatic(false);
+        assert_eq!((report.tolerance_met, report.skipped), (met, skipped));
     }
 }
 

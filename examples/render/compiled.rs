@@ -10,15 +10,15 @@ use outcrop::compile::{
     compile_file_with, compile_shape,
 };
 use outcrop::error::{CompileError, ImportError, SourceError};
+use outcrop::geom::Precision;
 use outcrop::import::{GltfPart, ImportOptions, ImportReport, source_record_of};
-use outcrop::model::SourceRecord;
+use outcrop::model::{Model, PrecisionOrigin, SourceRecord};
 use outcrop::procedural::{Gears, Shape};
 use outcrop::source::{DiskSource, PageCache};
 use outcrop::{BlockSource, MemoryBudget};
 
 use crate::common::interrupt::Interrupt;
 use crate::common::progress::Meter;
-use crate::held::Held;
 use crate::options::Options;
 
 /// Where blocks come from.
@@ -269,10 +269,10 @@ fn need(
     }
     Ok(match DiskSource::open_in(compiled, PageCache::Use, budget) {
         Ok(source) if source.model().source == record => {
-            let (held, model) = (Held::of(&source, budget)?, source.model());
-            match held.difference(model, options) {
+            let model = source.model();
+            match other_options(model, options) {
                 Some(reason) => Need::Compile(reason),
-                None => Need::None { note: held.note(model, options) },
+                None => Need::None { note: note(model) },
             }
         }
         Ok(_) => Need::Compile("compiled again because it changed"),
@@ -281,6 +281,33 @@ fn need(
         // That it is a compiled file is known: see `files::refuse_foreign`.
         Err(_) => Need::Compile("compiled again because the compiled file is damaged or of another version"),
     })
+}
+
+/// Why the options of now would make another file than those that it was compiled with, if they would. Block size and codec do not
+/// count: no picture depends on them.
+fn other_options(model: &Model, options: &Options) -> Option<&'static str> {
+    let record = model.compiled?;
+    // Who names a precision has asked for a compile.
+    if record.precision == PrecisionOrigin::Given {
+        return Some("compiled again, now with --precision auto");
+    }
+    if record.skipped > 0 && !options.skip_not_finite {
+        return Some("compiled again, now without --skip-not-finite");
+    }
+    None
+}
+
+/// What in the compiled file is a matter of options.
+fn note(model: &Model) -> String {
+    let precision = match model.precision {
+        Precision::Float32 => "positions as float32".to_string(),
+        Precision::Lattice(lattice) => format!("positions on a lattice of spacing 2^{}", lattice.exponent),
+    };
+    match model.compiled.map_or(0, |record| record.skipped) {
+        0 => precision,
+        1 => format!("{precision}, 1 triangle that is not finite left out"),
+        count => format!("{precision}, {count} triangles that are not finite left out"),
+    }
 }
 
 fn compile_options(options: &Options) -> CompileOptions {

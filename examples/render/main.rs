@@ -6,7 +6,6 @@ mod common;
 
 mod compiled;
 mod files;
-mod held;
 mod instanced;
 mod options;
 mod summary;

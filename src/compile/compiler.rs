@@ -597,7 +597,8 @@ impl<'p> Compiler<'p> {
             spill_bytes += store.spill_bytes();
             attributes = store.write(settings.codec, &mut output, &self.budget)?;
         }
-        let written = output.seal(&self.materials, self.source)?;
+        let compiled = self.options.precision.record(decision.tolerance_met, skipped);
+        let written = output.seal(&self.materials, self.source, compiled)?;
         write.add_since(start);
         let mut total = Meter::default();
         total.add_since(self.start);
@@ -616,24 +617,13 @@ impl<'p> Compiler<'p> {
             seconds.total.cpu += crew_time.seconds().cpu + seconds.cut.cpu + seconds.encode.cpu;
         }
         Ok(CompileReport {
-            triangles: written.triangles,
-            blocks: written.blocks,
-            vertices: written.vertices,
-            file_bytes: written.file_bytes,
-            bytes_per_triangle: written.bytes_per_triangle(),
-            degenerate: written.degenerate,
-            duplicates: written.duplicates,
             skipped,
-            import: None,
             triangles_with_attributes: attributes.triangles,
             attribute_bytes: attributes.bytes,
-            precision: decision.precision,
-            error_bound,
-            tolerance_met: decision.tolerance_met,
-            codec: self.options.codec,
             seconds,
             spill_bytes,
             budget_peak: self.budget.peak(),
+            ..written.report(decision, error_bound, self.options.codec)
         })
     }
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use crate::block::Codec;
 use crate::geom::Precision;
 use crate::import::ImportReport;
+use crate::model::{CompileRecord, PrecisionOrigin};
 use crate::units::Bytes;
 
 /// How a compile is to be done. The image made from the result does not depend on any of it but `precision` and
@@ -64,6 +65,17 @@ pub enum PrecisionChoice {
         /// Base-two logarithm of the spacing.
         exponent: i32,
     },
+}
+
+impl PrecisionChoice {
+    /// What the compiled file tells of the choice, beside the triangles that were left out.
+    pub(super) fn record(self, tolerance_met: bool, skipped: u64) -> CompileRecord {
+        let precision = match self {
+            PrecisionChoice::Auto => PrecisionOrigin::Automatic { tolerance_met },
+            PrecisionChoice::Float32 | PrecisionChoice::Lattice { .. } => PrecisionOrigin::Given,
+        };
+        CompileRecord { precision, skipped }
+    }
 }
 
 /// How far [`PrecisionChoice::Auto`] may move a vertex, in shortest edges of its triangles. Edges of length zero do

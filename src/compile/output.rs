@@ -4,13 +4,15 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use super::blocks::EncodedBucket;
+use super::options::{CompileReport, PhaseSeconds};
+use super::precision::Decision;
 use super::temporary::{DiskQuota, TemporaryFile, write_at};
-use crate::block::BlockLimits;
 use crate::block::attributes::PageCheck;
+use crate::block::{BlockLimits, Codec};
 use crate::budget::{MemoryBudget, Reservation};
 use crate::error::CompileError;
 use crate::geom::Precision;
-use crate::model::{MaterialRecord, ModelWriter, NewBlock, SourceRecord};
+use crate::model::{CompileRecord, MaterialRecord, ModelWriter, NewBlock, SourceRecord};
 use crate::units::Bytes;
 
 /// Bytes that are gathered before they are written.
@@ -50,8 +52,29 @@ pub(super) struct Written {
 }
 
 impl Written {
-    pub(super) fn bytes_per_triangle(&self) -> f64 {
-        self.file_bytes as f64 / self.triangles as f64
+    /// A report of what is in the file; what making it took is left at zero.
+    pub(super) fn report(&self, decision: Decision, error_bound: f64, codec: Codec) -> CompileReport {
+        let &Written { triangles, blocks, vertices, file_bytes, degenerate, duplicates } = self;
+        CompileReport {
+            triangles,
+            blocks,
+            vertices,
+            file_bytes,
+            bytes_per_triangle: file_bytes as f64 / triangles as f64,
+            degenerate,
+            duplicates,
+            skipped: 0,
+            import: None,
+            triangles_with_attributes: 0,
+            attribute_bytes: 0,
+            precision: decision.precision,
+            error_bound,
+            tolerance_met: decision.tolerance_met,
+            codec,
+            seconds: PhaseSeconds::default(),
+            spill_bytes: 0,
+            budget_peak: Bytes(0),
+        }
     }
 }
 
@@ -166,11 +189,12 @@ impl Output {
         mut self,
         materials: &[MaterialRecord],
         source: SourceRecord,
+        compiled: CompileRecord,
     ) -> Result<Written, CompileError> {
         self.flush()?;
         // `ModelWriter` takes at most 2^32 - 1 blocks.
         let (triangles, blocks) = (self.writer.triangle_count(), self.writer.block_count() as u32);
-        let sealed = self.writer.seal(materials, source)?;
+        let sealed = self.writer.seal(materials, source, Some(compiled))?;
         let write = |error| CompileError::Write { path: self.path.clone(), error };
         self.quota.take((sealed.tail.len() + sealed.header.len()) as u64).map_err(write)?;
         write_at(self.file.file(), sealed.tail_offset, &sealed.tail).map_err(write)?;

@@ -1,8 +1,8 @@
 //! The fixed header of a compiled file. `docs/format.md` has the same table.
 
-use super::SourceRecord;
 use super::attributes::PAGE_ENTRY_BYTES;
 use super::directory::{ENTRY_BYTES, Fields, is_sound, put_aabb};
+use super::{CompileRecord, PrecisionOrigin, SourceRecord};
 use crate::block::{BLOCK_HEADER_BYTES, BlockLimits, Codec, checksum};
 use crate::error::ModelError;
 use crate::geom::{Aabb, Lattice, Precision};
@@ -26,7 +26,10 @@ pub(super) const FEATURE_ATTRIBUTES: u64 = 2;
 /// Materials name images.
 pub(super) const FEATURE_IMAGES: u64 = 4;
 
-const FEATURES_KNOWN: u64 = FEATURE_ZSTD | FEATURE_ATTRIBUTES | FEATURE_IMAGES;
+/// The header tells with which options the file was compiled.
+pub(super) const FEATURE_RECORD: u64 = 8;
+
+const FEATURES_KNOWN: u64 = FEATURE_ZSTD | FEATURE_ATTRIBUTES | FEATURE_IMAGES | FEATURE_RECORD;
 
 /// Where the header's own checksum starts: its last eight bytes.
 const CHECKSUM_AT: usize = HEADER_BYTES - 8;
@@ -56,6 +59,8 @@ pub(super) struct Header {
     pub attributes: Option<(Section, u32)>,
     /// The table of the materials' images; none without [`FEATURE_IMAGES`].
     pub images: Option<Section>,
+    /// How the file was compiled; none without [`FEATURE_RECORD`].
+    pub compiled: Option<CompileRecord>,
 }
 
 /// A part of the file.
@@ -113,6 +118,12 @@ impl Header {
             let fields = [section.offset, section.bytes, section.checksum];
             out.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
             debug_assert_eq!(out.len(), USED_WITH_IMAGES);
+        }
+        if let Some(CompileRecord { precision, skipped }) = self.compiled {
+            out.resize(USED_WITH_IMAGES, 0);
+            out.extend_from_slice(&origin_code(precision).to_le_bytes());
+            out.extend_from_slice(&skipped.to_le_bytes());
+            debug_assert_eq!(out.len(), CHECKSUM_AT);
         }
         out.resize(CHECKSUM_AT, 0);
         out.extend_from_slice(&checksum(&out).to_le_bytes());
@@ -174,10 +185,22 @@ impl Header {
         let mut fields = Fields(&bytes[USED_WITH_ATTRIBUTES..]);
         let images =
             has_images.then(|| Section { offset: fields.u64(), bytes: fields.u64(), checksum: fields.u64() });
+        let has_record = features & FEATURE_RECORD != 0;
+        let mut fields = Fields(&bytes[USED_WITH_IMAGES..]);
+        let compiled = if has_record {
+            let precision = origin_of(fields.u64());
+            let precision = precision.ok_or(damaged(232, "how its precision was chosen is unknown"))?;
+            Some(CompileRecord { precision, skipped: fields.u64() })
+        } else {
+            None
+        };
         let is_clear = |from: usize, to: usize| bytes[from..to].iter().all(|byte| *byte == 0);
         let first = if has_attributes { USED_WITH_ATTRIBUTES } else { USED_BYTES };
         let second = if has_images { USED_WITH_IMAGES } else { USED_WITH_ATTRIBUTES };
-        let are_clear = is_clear(first, USED_WITH_ATTRIBUTES) && is_clear(second, CHECKSUM_AT);
+        let third = if has_record { CHECKSUM_AT } else { USED_WITH_IMAGES };
+        let are_clear = is_clear(first, USED_WITH_ATTRIBUTES)
+            && is_clear(second, USED_WITH_IMAGES)
+            && is_clear(third, CHECKSUM_AT);
         require(are_clear, first as u64, "a reserved byte is not zero")?;
 
         // Counts are refuted by the length of the file before anything is allocated by them (I5).
@@ -228,6 +251,85 @@ impl Header {
             source,
             attributes,
             images,
+            compiled,
         })
+    }
+}
+
+fn origin_code(origin: PrecisionOrigin) -> u64 {
+    match origin {
+        PrecisionOrigin::Given => 0,
+        PrecisionOrigin::Automatic { tolerance_met: true } => 1,
+        PrecisionOrigin::Automatic { tolerance_met: false } => 2,
+    }
+}
+
+fn origin_of(code: u64) -> Option<PrecisionOrigin> {
+    match code {
+        0 => Some(PrecisionOrigin::Given),
+        1 => Some(PrecisionOrigin::Automatic { tolerance_met: true }),
+        2 => Some(PrecisionOrigin::Automatic { tolerance_met: false }),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(compiled: Option<CompileRecord>) -> Header {
+        let blocks = BLOCK_HEADER_BYTES as u64;
+        let directory =
+            Section { offset: HEADER_BYTES as u64 + blocks, bytes: ENTRY_BYTES as u64, checksum: 1 };
+        let materials =
+            Section { offset: directory.offset + directory.bytes, bytes: MATERIAL_BYTES_MIN, checksum: 2 };
+        Header {
+            features: if compiled.is_some() { FEATURE_RECORD } else { 0 },
+            precision: Precision::Float32,
+            limits: BlockLimits { block_bytes_max: 65536 },
+            bounds: Aabb { min: [0.0; 3], max: [1.0; 3] },
+            triangle_count: 1,
+            block_count: 1,
+            material_count: 1,
+            directory,
+            materials,
+            source: SourceRecord::default(),
+            attributes: None,
+            images: None,
+            compiled,
+        }
+    }
+
+    fn parse(bytes: &[u8; HEADER_BYTES]) -> Result<Header, ModelError> {
+        let at = header(None).materials;
+        Header::parse(bytes, at.offset + at.bytes)
+    }
+
+    #[test]
+    fn what_the_compile_tells_comes_back() {
+        let origins = [
+            PrecisionOrigin::Given,
+            PrecisionOrigin::Automatic { tolerance_met: true },
+            PrecisionOrigin::Automatic { tolerance_met: false },
+        ];
+        let records = origins.map(|precision| Some(CompileRecord { precision, skipped: u64::MAX }));
+        for compiled in records.into_iter().chain([None]) {
+            assert_eq!(parse(&header(compiled).to_bytes()).unwrap(), header(compiled));
+        }
+    }
+
+    #[test]
+    fn who_chose_the_precision_is_known_or_reserved() {
+        let record = CompileRecord { precision: PrecisionOrigin::Given, skipped: 0 };
+        for (compiled, at) in [(Some(record), 232), (None, 180)] {
+            let mut bytes = header(compiled).to_bytes();
+            bytes[USED_WITH_IMAGES] = 3;
+            let sum = checksum(&bytes[..CHECKSUM_AT]);
+            bytes[CHECKSUM_AT..].copy_from_slice(&sum.to_le_bytes());
+            let refused = parse(&bytes);
+            let found =
+                matches!(refused, Err(ModelError::Damaged { part: "header", offset, .. }) if offset == at);
+            assert!(found, "{refused:?}");
+        }
     }
 }

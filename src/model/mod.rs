@@ -56,6 +56,8 @@ pub struct Model {
     pub materials: Vec<MaterialRecord>,
     /// What the file was compiled from.
     pub source: SourceRecord,
+    /// How the file was compiled, if it says so.
+    pub compiled: Option<CompileRecord>,
     /// Where the attributes of triangle corners are; empty if no triangle has any.
     pub attributes: AttributePages,
 }
@@ -147,4 +149,25 @@ pub struct SourceRecord {
     pub modified_ns: u64,
     /// XXH3 over size, first and last 64 KiB of the model file.
     pub fingerprint: u64,
+}
+
+/// Enough about a compile to notice that other options would make another model of the same source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CompileRecord {
+    /// Who chose [`Model::precision`].
+    pub precision: PrecisionOrigin,
+    /// Triangles of the source that were left out because a coordinate was not finite.
+    pub skipped: u64,
+}
+
+/// Who chose how positions are held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PrecisionOrigin {
+    /// The caller of the compile.
+    Given,
+    /// The compile, by what the source holds.
+    Automatic {
+        /// Whether the bound on what rounding may move was met; the finest lattice that holds a large model may miss it.
+        tolerance_met: bool,
+    },
 }

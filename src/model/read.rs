@@ -111,6 +111,7 @@ impl ModelReader {
             cells: Cells::default(),
             materials,
             source: header.source,
+            compiled: header.compiled,
             attributes: pages,
         })
     }

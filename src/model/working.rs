@@ -253,6 +253,7 @@ impl WorkingHeader {
             cells,
             materials: parse_table(material_bytes, self.material_count, self.materials.offset)?,
             source: self.made_for.source,
+            compiled: None,
             attributes: super::AttributePages::default(),
         };
         Ok((records, model))

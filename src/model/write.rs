@@ -2,9 +2,11 @@
 
 use super::attributes::{AttributePages, PageEntry};
 use super::directory::{BlockEntry, ENTRY_BYTES, EntryContext, SUB_BOX_COUNT};
-use super::header::{FEATURE_ATTRIBUTES, FEATURE_IMAGES, FEATURE_ZSTD, HEADER_BYTES, Header, Section};
+use super::header::{
+    FEATURE_ATTRIBUTES, FEATURE_IMAGES, FEATURE_RECORD, FEATURE_ZSTD, HEADER_BYTES, Header, Section,
+};
 use super::material::table_bytes;
-use super::{MaterialRecord, SourceRecord, SubBoxes};
+use super::{CompileRecord, MaterialRecord, SourceRecord, SubBoxes};
 use crate::block::attributes::PageCheck;
 use crate::block::{BlockLimits, Codec, checksum};
 use crate::error::ModelError;
@@ -180,7 +182,12 @@ impl ModelWriter {
     /// # Errors
     /// [`ModelError::Limit`] if there is no block, there are too many materials, a name is too long, or a block uses a
     /// material that is not in the table.
-    pub fn seal(self, materials: &[MaterialRecord], source: SourceRecord) -> Result<SealedModel, ModelError> {
+    pub fn seal(
+        self,
+        materials: &[MaterialRecord],
+        source: SourceRecord,
+        compiled: Option<CompileRecord>,
+    ) -> Result<SealedModel, ModelError> {
         let limit = |reason| ModelError::Limit { reason };
         if self.blocks.is_empty() {
             return Err(limit("the model has no triangles"));
@@ -231,6 +238,9 @@ impl ModelWriter {
         if images.is_some() {
             features |= FEATURE_IMAGES;
         }
+        if compiled.is_some() {
+            features |= FEATURE_RECORD;
+        }
         let header = Header {
             features,
             precision: self.precision,
@@ -245,6 +255,7 @@ impl ModelWriter {
             source,
             attributes,
             images,
+            compiled,
         };
         Ok(SealedModel { header: header.to_bytes(), tail_offset: self.end, file_bytes, tail })
     }

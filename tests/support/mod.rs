@@ -112,7 +112,7 @@ pub fn compile_numbered(
         file.extend_from_slice(&stored);
     }
     let materials = vec![MaterialRecord::default(); usize::from(MATERIALS)];
-    let sealed = writer.seal(&materials, SourceRecord::default()).unwrap();
+    let sealed = writer.seal(&materials, SourceRecord::default(), None).unwrap();
     file.extend_from_slice(&sealed.tail);
     file[..sealed.header.len()].copy_from_slice(&sealed.header);
     Arc::new(MemorySource::new(file).unwrap())

@@ -7,6 +7,7 @@ use super::super::clock::Meter;
 use super::super::clock::Moment;
 use super::super::options::{CompileReport, Control, Phase, Progress, Seconds};
 use super::super::output::Output;
+use super::super::precision::Decision;
 use super::cutter::Cutter;
 use super::lazy_model::{CutCell, LazyModel};
 use crate::block::checksum;
@@ -59,7 +60,8 @@ impl LazyModel {
         let spill_bytes = header.log_offset();
         let model = self.model();
         progress(Progress { phase: Phase::Seal, fraction: None, triangles: output.triangles() });
-        let written = output.seal(&model.materials, model.source)?;
+        let compiled = self.options().precision.record(header.tolerance_met, header.skipped);
+        let written = output.seal(&model.materials, model.source, compiled)?;
         self.working().remove();
         let mut spent = Meter::default();
         spent.add_since(start);
@@ -72,28 +74,19 @@ impl LazyModel {
             cpu: seconds.write.cpu + (spent.cpu - seconds.cut.cpu).max(0.0),
         };
         seconds.total = Seconds { wall: seconds.total.wall + spent.wall, cpu: seconds.total.cpu + spent.cpu };
+        let precision = header.precision;
+        let decision = Decision { precision, tolerance_met: header.tolerance_met };
+        let error_bound = match precision {
+            Precision::Float32 => header.error_bound,
+            Precision::Lattice(lattice) => lattice.error_bound(),
+        };
         Ok(CompileReport {
-            triangles: written.triangles,
-            blocks: written.blocks,
-            vertices: written.vertices,
-            file_bytes: written.file_bytes,
-            bytes_per_triangle: written.bytes_per_triangle(),
-            degenerate: written.degenerate,
-            duplicates: written.duplicates,
             skipped: header.skipped,
             import: self.import_report().cloned(),
-            triangles_with_attributes: 0,
-            attribute_bytes: 0,
-            precision: header.precision,
-            error_bound: match header.precision {
-                Precision::Float32 => header.error_bound,
-                Precision::Lattice(lattice) => lattice.error_bound(),
-            },
-            tolerance_met: header.tolerance_met,
-            codec: self.options().codec,
             seconds,
             spill_bytes,
             budget_peak: self.budget().peak(),
+            ..written.report(decision, error_bound, self.options().codec)
         })
     }
 

@@ -48,7 +48,7 @@ pub fn memory_model(
         file.extend_from_slice(&stored);
         start += count;
     }
-    let sealed = writer.seal(&[MaterialRecord::default()], SourceRecord::default())?;
+    let sealed = writer.seal(&[MaterialRecord::default()], SourceRecord::default(), None)?;
     file[..sealed.header.len()].copy_from_slice(&sealed.header);
     file.extend_from_slice(&sealed.tail);
     Ok(file)
