@@ -10,12 +10,13 @@
 //! A record counts when it is whole and its checksum is right, so a crash in the middle of writing loses that record and no other.
 //! What follows a damaged record is cut off.
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::coordinator::CoordinatorError;
 use crate::block::checksum;
+use crate::compile::open_locked;
 use crate::schedule::ScheduleCheckpoint;
 
 /// What a coordinator writes down.
@@ -50,17 +51,8 @@ impl Checkpoint {
     /// [`CoordinatorError::Checkpoint`] if it cannot be read or written.
     pub fn open(path: &Path, job_digest: u64) -> Result<(Checkpoint, Vec<Record>), CoordinatorError> {
         let failed = |error| CoordinatorError::Checkpoint { path: path.to_owned(), error };
-        let options = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path);
-        let mut file = options.map_err(failed)?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(CoordinatorError::CheckpointInUse { path: path.to_owned() });
-            }
-            // A file system without locks: then it is for the user to keep coordinators apart.
-            Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
-            Err(TryLockError::Error(error)) => return Err(failed(error)),
-        }
+        let file = open_locked(path).map_err(failed)?;
+        let mut file = file.ok_or(CoordinatorError::CheckpointInUse { path: path.to_owned() })?;
         let length = file.metadata().map_err(failed)?.len();
         let header = header(job_digest);
         let mut records = Vec::new();

@@ -6,7 +6,7 @@
 //! held against their checksums, the whole is opened and checked under a name of its own, and it gets its real name only when nothing is
 //! wrong.
 
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File};
 use std::io;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -21,6 +21,7 @@ use super::file_fetch::FileFetch;
 use super::message::RANGE_BYTES_MAX;
 use super::model_file::model_key;
 use crate::block::checksum;
+use crate::compile::open_locked;
 use crate::error::SourceError;
 use crate::model::Model;
 use crate::source::{BlockSource, DiskSource, PageCache};
@@ -176,14 +177,7 @@ impl FileCopy {
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             fs::create_dir_all(folder).map_err(disk)?;
         }
-        let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
-        let file = file.map_err(disk)?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(CopyError::Busy { path }),
-            // Some network file systems have no locks; then two that write the same bytes do no harm.
-            Err(TryLockError::Error(_)) => {}
-        }
+        let Some(file) = open_locked(&path).map_err(disk)? else { return Err(CopyError::Busy { path }) };
         // Another process may have finished it before the lock was free.
         if let Some(source) = self.existing()? {
             return Ok(Some(source));

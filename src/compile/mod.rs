@@ -23,6 +23,7 @@ mod crew;
 mod cut;
 mod faces;
 mod file;
+mod file_lock;
 mod gather;
 mod grid;
 mod lazy;
@@ -50,3 +51,5 @@ pub use options::{
     Seconds, Threads,
 };
 pub use shape::compile_shape;
+
+pub(crate) use file_lock::open_locked;

@@ -1,12 +1,13 @@
 //! Temporary files that never block a later run: a file left by a killed process is taken over, one in use is not.
 
 use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::file_lock::open_locked;
 use crate::error::CompileError;
 
 /// How many temporary files of one name may be in use at once.
@@ -59,24 +60,7 @@ impl TemporaryFile {
             }
             path = dir.join(full);
             let write = |error| CompileError::Write { path: path.clone(), error };
-            let file = OpenOptions::new()
-                .read(true)
-                .write(true)
-                .create(true)
-                .truncate(false)
-                .open(&path)
-                .map_err(write)?;
-            match file.try_lock() {
-                Ok(()) => {}
-                Err(fs::TryLockError::WouldBlock) => continue,
-                // A file system without locks: every run then takes the first name, as most programs do.
-                Err(fs::TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
-                Err(fs::TryLockError::Error(error)) => return Err(write(error)),
-            }
-            // Between open and lock the owner may have published or removed the file: then this is no longer ours to use.
-            if !same_file(&file, &path).map_err(write)? {
-                continue;
-            }
+            let Some(file) = open_locked(&path).map_err(write)? else { continue };
             file.set_len(0).map_err(write)?;
             return Ok(TemporaryFile { file: Some(file), path, unlinked: false });
         }
@@ -126,25 +110,6 @@ impl Drop for TemporaryFile {
             let _ = fs::remove_file(&self.path);
         }
     }
-}
-
-/// Whether `path` still names the open `file`.
-#[cfg(unix)]
-pub(super) fn same_file(file: &File, path: &Path) -> io::Result<bool> {
-    use std::os::unix::fs::MetadataExt;
-    let open = file.metadata()?;
-    match fs::metadata(path) {
-        Ok(named) => Ok((open.dev(), open.ino()) == (named.dev(), named.ino())),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
-        Err(error) => Err(error),
-    }
-}
-
-/// Whether `path` still names the open `file`.
-#[cfg(not(unix))]
-pub(super) fn same_file(_file: &File, _path: &Path) -> io::Result<bool> {
-    // An open file can neither be renamed nor removed by others there.
-    Ok(true)
 }
 
 /// Reads exactly `into.len()` bytes at `offset`; shared by all threads.

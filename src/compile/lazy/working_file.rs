@@ -1,11 +1,12 @@
 //! The working file on disk: open, locked, and inside the caller's limit on disk space.
 
 use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::super::temporary::{DiskQuota, read_at, same_file, write_at};
+use super::super::file_lock::{open_locked, same_file};
+use super::super::temporary::{DiskQuota, read_at, write_at};
 use crate::error::CompileError;
 
 /// What the name of a working file adds to that of the compiled file.
@@ -36,21 +37,9 @@ impl WorkingFile {
     pub fn lock(output: &Path, quota: DiskQuota) -> Result<WorkingFile, CompileError> {
         let path = WorkingFile::path_for(output);
         let write = |error| CompileError::Write { path: path.clone(), error };
-        loop {
-            let mut options = OpenOptions::new();
-            let file = options.read(true).write(true).create(true).truncate(false).open(&path);
-            let file = file.map_err(write)?;
-            match file.try_lock() {
-                Ok(()) => {}
-                Err(fs::TryLockError::WouldBlock) => return Err(CompileError::Locked { path }),
-                // A file system without locks: then it is for the user to keep runs apart.
-                Err(fs::TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
-                Err(fs::TryLockError::Error(error)) => return Err(write(error)),
-            }
-            // Between open and lock the owner may have finished and removed it.
-            if same_file(&file, &path).map_err(write)? {
-                return Ok(WorkingFile { file, path, quota, is_useless: false });
-            }
+        match open_locked(&path).map_err(write)? {
+            Some(file) => Ok(WorkingFile { file, path, quota, is_useless: false }),
+            None => Err(CompileError::Locked { path }),
         }
     }
 
