@@ -67,6 +67,8 @@ pub(super) struct Scatter<P> {
     buffers: Vec<Buffered>,
     buckets: Vec<Bucket>,
     writer: ChunkWriter<P>,
+    /// Runs of (length, material) of the buffer that is written.
+    runs: Vec<[u16; 2]>,
     spill: Spill,
     chunks: ChunkRecords,
     skip_not_finite: bool,
@@ -74,16 +76,53 @@ pub(super) struct Scatter<P> {
     _reservation: Reservation,
 }
 
-/// The state of a bucket's buffer.
+/// The state of a bucket's buffer: triangles from its start on and, so that runs of materials take no memory of their own, closed runs
+/// from its end on, four in the place of a triangle.
 #[derive(Clone, Debug, Default)]
 struct Bucket {
     first_id: u64,
+    /// Triangles in it.
     len: u32,
+    /// Places for triangles.
+    room: u32,
     material: u16,
-    /// Where the last run of `materials` starts.
+    /// Where the run starts that is not closed.
     run_start: u16,
-    /// Closed runs of (length, material).
-    materials: Vec<[u16; 2]>,
+    /// Closed runs.
+    run_count: u16,
+}
+
+/// Closed runs in the place of a triangle.
+const RUNS_PER_PLACE: u16 = 4;
+
+impl Bucket {
+    fn start(&mut self, id: u64, material: u16, capacity: usize) {
+        // A buffer holds at most `CHUNK_TRIANGLES_MAX`.
+        *self = Bucket { first_id: id, room: capacity as u32, material, ..Bucket::default() };
+    }
+
+    /// Closes the run if the buffer has room for that and for a triangle more.
+    fn close_run(&mut self, material: u16, buffer: &mut [Buffered]) -> bool {
+        let lane = self.run_count % RUNS_PER_PLACE;
+        if lane == 0 {
+            if self.len + 2 > self.room {
+                return false;
+            }
+            self.room -= 1;
+        }
+        let run = (self.len - u32::from(self.run_start)) | u32::from(self.material) << 16;
+        buffer[self.room as usize][usize::from(lane)] = run;
+        self.run_count += 1;
+        (self.material, self.run_start) = (material, self.len as u16);
+        true
+    }
+
+    /// All runs, with the last.
+    fn runs(&self, buffer: &[Buffered]) -> impl Iterator<Item = [u16; 2]> {
+        let closed = buffer.iter().rev().flatten().take(usize::from(self.run_count));
+        let last = [self.len as u16 - self.run_start, self.material];
+        closed.map(|run| [*run as u16, (run >> 16) as u16]).chain([last])
+    }
 }
 
 /// Triangles that the buffer of each of `count` buckets holds, if all of them may take `share` bytes.
@@ -131,6 +170,7 @@ impl<P: Point> Scatter<P> {
             buffers: vec![[0; 4]; count * capacity],
             buckets: vec![Bucket::default(); count],
             writer: ChunkWriter::new(),
+            runs: Vec::new(),
             spill: Spill::new(place, ".spill", spill_headroom)?,
             chunks,
             skip_not_finite,
@@ -169,9 +209,8 @@ impl<P: Point> Scatter<P> {
                 let index = usize::from(indices[at]);
                 let bucket = &mut self.buckets[index];
                 let distance = id.wrapping_sub(bucket.first_id);
-                let len = bucket.len as usize;
                 // The first in its buffer, or one that does not go into it as it is.
-                if len.wrapping_sub(1) >= self.capacity - 1
+                if bucket.len.wrapping_sub(1) >= bucket.room.wrapping_sub(1)
                     || bucket.material != material
                     || distance > u64::from(u32::MAX)
                 {
@@ -179,7 +218,7 @@ impl<P: Point> Scatter<P> {
                     continue;
                 }
                 let [a, b, c] = triangle;
-                self.buffers[index * self.capacity + len] = [a, b, c, distance as u32];
+                self.buffers[index * self.capacity + bucket.len as usize] = [a, b, c, distance as u32];
                 bucket.len += 1;
             }
         }
@@ -220,19 +259,19 @@ impl<P: Point> Scatter<P> {
         lookup: &mut L,
     ) -> Result<(), CompileError> {
         let bucket = &mut self.buckets[index];
-        if bucket.len == 0 {
-            (bucket.first_id, bucket.material, bucket.run_start) = (id, material, 0);
-        } else if bucket.len as usize == self.capacity || id - bucket.first_id > u64::from(u32::MAX) {
-            self.flush(index, lookup)?;
-            let bucket = &mut self.buckets[index];
-            (bucket.first_id, bucket.material, bucket.run_start) = (id, material, 0);
+        let buffer = index * self.capacity..(index + 1) * self.capacity;
+        let fits = bucket.len > 0
+            && bucket.len < bucket.room
+            && id - bucket.first_id <= u64::from(u32::MAX)
+            && (bucket.material == material || bucket.close_run(material, &mut self.buffers[buffer.clone()]));
+        if !fits {
+            if bucket.len > 0 {
+                self.flush(index, lookup)?;
+            }
+            self.buckets[index].start(id, material, self.capacity);
         }
         let bucket = &mut self.buckets[index];
-        if bucket.material != material {
-            bucket.materials.push([bucket.len as u16 - bucket.run_start, bucket.material]);
-            (bucket.material, bucket.run_start) = (material, bucket.len as u16);
-        }
-        self.buffers[index * self.capacity + bucket.len as usize] = [a, b, c, (id - bucket.first_id) as u32];
+        self.buffers[buffer][bucket.len as usize] = [a, b, c, (id - bucket.first_id) as u32];
         bucket.len += 1;
         Ok(())
     }
@@ -240,11 +279,11 @@ impl<P: Point> Scatter<P> {
     fn flush<L: Lookup<Point = P>>(&mut self, index: usize, lookup: &mut L) -> Result<(), CompileError> {
         let bucket = &mut self.buckets[index];
         let len = bucket.len as usize;
-        bucket.materials.push([len as u16 - bucket.run_start, bucket.material]);
-        let start = index * self.capacity;
-        let triangles = &self.buffers[start..start + len];
+        let buffer = &self.buffers[index * self.capacity..(index + 1) * self.capacity];
+        self.runs.clear();
+        self.runs.extend(bucket.runs(buffer));
         let bytes =
-            self.writer.write(triangles, bucket.first_id, &bucket.materials, |vertex| lookup.get(vertex))?;
+            self.writer.write(&buffer[..len], bucket.first_id, &self.runs, |vertex| lookup.get(vertex))?;
         let offset = self.spill.append(bytes)?;
         let bytes = bytes.len() as u32;
         let vertices = self.writer.vertex_count() as u16;
@@ -256,7 +295,6 @@ impl<P: Point> Scatter<P> {
             triangles: len as u16,
             vertices,
         })?;
-        bucket.materials.clear();
         bucket.len = 0;
         Ok(())
     }
@@ -321,4 +359,42 @@ pub(super) fn ranges_by_bucket(chunks: &[ChunkRecord], mut start: usize) -> Vec<
             start - group.len()..start
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a list would hold of the materials of triangles that come one by one, and what the buffer of a bucket does.
+    #[test]
+    fn runs_at_the_end_of_a_buffer_are_those_of_a_list() {
+        const CAPACITY: usize = 40;
+        // Runs of one, of two and of seven triangles.
+        for period in [1, 2, 7] {
+            let mut buffer = vec![[u32::MAX; 4]; CAPACITY];
+            let mut bucket = Bucket::default();
+            bucket.start(9, 0, CAPACITY);
+            let mut expected: Vec<[u16; 2]> = vec![[0, 0]];
+            for triangle in 0_u32.. {
+                let material = (triangle / period) as u16 * 3;
+                if bucket.len == bucket.room {
+                    break;
+                }
+                if material != bucket.material {
+                    if !bucket.close_run(material, &mut buffer) {
+                        break;
+                    }
+                    expected.push([0, material]);
+                }
+                buffer[bucket.len as usize] = [triangle; 4];
+                bucket.len += 1;
+                expected.last_mut().unwrap()[0] += 1;
+            }
+            assert_eq!(bucket.runs(&buffer).collect::<Vec<_>>(), expected);
+            let len = bucket.len as usize;
+            assert!(buffer[..len].iter().zip(0..).all(|(place, triangle)| *place == [triangle; 4]));
+            let places = len + expected.len().saturating_sub(1).div_ceil(4);
+            assert!((CAPACITY - 1..=CAPACITY).contains(&places), "{places} of {CAPACITY} places are used");
+        }
+    }
 }
