@@ -1,6 +1,7 @@
 //! The roles, as the command line asks for them.
 
 use std::error::Error;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -187,7 +188,11 @@ pub fn coordinate(
         println!("the picture is not whole; start again to go on from {}", options.checkpoint.display());
         return Ok(ExitCode::from(Interrupt::EXIT_CODE));
     }
-    std::fs::remove_file(&options.checkpoint)?;
+    // Its lock is gone: another coordinator of the same picture may have been faster.
+    match std::fs::remove_file(&options.checkpoint) {
+        Err(error) if error.kind() != ErrorKind::NotFound => return Err(error.into()),
+        _ => {}
+    }
     if options.verify {
         verify(&done, &job, file)?;
     }

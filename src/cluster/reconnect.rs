@@ -22,6 +22,8 @@ pub(super) struct Reconnect<'a> {
     answer_time_max: Duration,
     /// Since when there is no connection in which the coordinator has said anything.
     lost: Option<Instant>,
+    /// Whether a connection was tried since then.
+    was_tried: bool,
     last_try: Option<Instant>,
     /// What came of it.
     reason: String,
@@ -42,6 +44,7 @@ impl<'a> Reconnect<'a> {
             patience,
             answer_time_max: ANSWER + roles.heartbeat,
             lost: None,
+            was_tried: false,
             last_try: None,
             reason: String::new(),
             wait: RETRY_FIRST,
@@ -62,6 +65,7 @@ impl<'a> Reconnect<'a> {
         let lasts = self.last_try.map(|last| last.elapsed());
         if is_welcome {
             self.lost = None;
+            self.was_tried = false;
             // One that ends at once each time is not tried faster and faster.
             if lasts.is_some_and(|lasts| lasts >= RETRY) {
                 self.wait = RETRY_FIRST;
@@ -69,7 +73,7 @@ impl<'a> Reconnect<'a> {
             return Ok(None);
         }
         let lost = *self.lost.get_or_insert_with(Instant::now);
-        let has_patience = lost.elapsed() < self.patience || lasts.is_none();
+        let has_patience = lost.elapsed() < self.patience || !self.was_tried;
         let may_answer = is_connected && lasts.is_some_and(|lasts| lasts < self.answer_time_max);
         if !has_patience && !may_answer {
             return Err(self.gives_up());
@@ -82,6 +86,7 @@ impl<'a> Reconnect<'a> {
         }
         let result = self.transport.connect(self.address);
         self.last_try = Some(Instant::now());
+        self.was_tried = true;
         match result {
             Ok(peer) => {
                 self.reason = "it ends connections, or says nothing".to_owned();
@@ -101,5 +106,25 @@ impl<'a> Reconnect<'a> {
             waited: self.patience,
             reason: self.reason.clone(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::LocalNetwork;
+
+    #[test]
+    fn a_connection_that_was_lost_is_tried_once_also_without_patience() {
+        let network = LocalNetwork::new();
+        let (_hub, node) = (network.open("coordinator"), network.open("node"));
+        let mut reconnect = Reconnect::new(&node, "coordinator", Duration::ZERO, RoleOptions::default());
+        assert!(reconnect.keep(false, false).unwrap().is_some());
+        assert_eq!(reconnect.keep(true, true).unwrap(), None);
+        std::thread::sleep(RETRY_FIRST);
+        assert!(reconnect.keep(false, false).unwrap().is_some());
+        // Nobody said anything in it.
+        let refused = reconnect.keep(false, false);
+        assert!(matches!(refused, Err(NodeError::NoCoordinator { .. })), "{refused:?}");
     }
 }
