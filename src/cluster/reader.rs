@@ -45,7 +45,8 @@ pub struct Reader {
     key: u64,
     coordinator: Option<PeerId>,
     options: RoleOptions,
-    last_alive: Duration,
+    last_told: Duration,
+    last_heard: Duration,
     held: HashMap<u32, Held>,
     /// In the order of their arrival.
     order: VecDeque<u32>,
@@ -101,7 +102,8 @@ impl Reader {
             key,
             coordinator: None,
             options,
-            last_alive: Duration::ZERO,
+            last_told: Duration::ZERO,
+            last_heard: Duration::ZERO,
             held: HashMap::new(),
             order: VecDeque::new(),
             held_bytes: 0,
@@ -122,7 +124,7 @@ impl Reader {
     pub fn connected(&mut self, coordinator: PeerId, now: Duration, actions: &mut Vec<Action>) {
         self.coordinator = Some(coordinator);
         self.is_welcome = false;
-        self.last_alive = now;
+        (self.last_told, self.last_heard) = (now, now);
         let hello = Message::Hello {
             version: MESSAGE_VERSION,
             role: Role::Reader,
@@ -169,6 +171,9 @@ impl Reader {
 
     /// Something happened.
     pub fn handle(&mut self, now: Duration, event: TransportEvent, actions: &mut Vec<Action>) {
+        if matches!(&event, TransportEvent::Frame { peer, .. } if Some(*peer) == self.coordinator) {
+            self.last_heard = now;
+        }
         match event {
             TransportEvent::Frame { peer, bytes } => match Message::parse(&bytes) {
                 Ok((Message::Refused { reason }, _)) if Some(peer) == self.coordinator => {
@@ -216,10 +221,13 @@ impl Reader {
     pub fn tick(&mut self, now: Duration, actions: &mut Vec<Action>) {
         let is_done_for = |since| self.peers.is_empty() || now.saturating_sub(since) >= LINGER;
         self.is_over |= self.finished.is_some_and(is_done_for);
-        if let Some(coordinator) = self.coordinator
-            && now.saturating_sub(self.last_alive) >= self.options.heartbeat
-        {
-            self.last_alive = now;
+        let Some(coordinator) = self.coordinator else { return };
+        if now.saturating_sub(self.last_heard) >= self.options.silence_max {
+            let reason = "the coordinator is silent".to_owned();
+            actions.push(Action::Disconnect { peer: coordinator, reason });
+            self.coordinator = None;
+        } else if now.saturating_sub(self.last_told) >= self.options.heartbeat {
+            self.last_told = now;
             actions.push(Action::Send { to: coordinator, frame: Message::Alive.frame() });
         }
     }

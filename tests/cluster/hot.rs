@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use outcrop::cluster::{Action, Reader, ReaderCounters, RemoteOptions, RemoteSource};
+use outcrop::cluster::{Action, Message, Reader, ReaderCounters, RemoteOptions, RemoteSource};
 use outcrop::source::testing::{FaultRates, FaultySource};
-use outcrop::transport::{LocalNetwork, Transport};
+use outcrop::transport::{LocalNetwork, PeerId, Transport, TransportEvent};
 use outcrop::units::{BlockId, Bytes};
 use outcrop::{BlockSource, MemoryBudget};
 
@@ -120,4 +120,30 @@ fn a_damaged_file_waits_for_a_reader_to_come_back() {
     alone.read_block(BlockId(2), &mut bytes).unwrap();
     model().read_block(BlockId(2), &mut sound).unwrap();
     assert!(bytes != sound);
+}
+
+#[test]
+fn a_coordinator_that_fell_silent_is_given_up() {
+    let roles = quick_roles();
+    let (budget, coordinator) = (MemoryBudget::new(Bytes::mib(16)), PeerId(7));
+    let mut reader =
+        Reader::new(Arc::new(model()), "reader", "reader", Bytes::mib(8), &budget, roles).unwrap();
+    let mut actions = Vec::new();
+    reader.connected(coordinator, Duration::ZERO, &mut actions);
+    let alive = TransportEvent::Frame { peer: coordinator, bytes: Message::Alive.frame() };
+    let heard = Duration::from_secs(3);
+    reader.handle(heard, alive, &mut actions);
+    assert!(reader.is_welcome());
+    actions.clear();
+    let limit = heard + roles.silence_max;
+    reader.tick(limit - Duration::from_millis(1), &mut actions);
+    assert!(reader.is_connected());
+    assert!(
+        actions.iter().all(|action| matches!(action, Action::Send { .. })),
+        "it goes on telling that it is alive"
+    );
+    reader.tick(limit, &mut actions);
+    assert!(!reader.is_connected());
+    let ended = matches!(actions.last(), Some(Action::Disconnect { peer, .. }) if *peer == coordinator);
+    assert!(ended, "{actions:?}");
 }

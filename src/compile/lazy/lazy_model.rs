@@ -105,7 +105,11 @@ impl Contents {
     }
 
     /// `None` if the file is not one that was made for `made_for` and completed, or is damaged.
-    fn read(working: &WorkingFile, made_for: &WorkingOptions) -> Result<Option<Contents>, CompileError> {
+    fn read(
+        working: &WorkingFile,
+        made_for: &WorkingOptions,
+        budget: &MemoryBudget,
+    ) -> Result<Option<Contents>, CompileError> {
         let file_bytes = working.len()?;
         let mut header = [0; WORKING_HEADER_BYTES];
         if file_bytes < header.len() as u64 {
@@ -116,7 +120,9 @@ impl Contents {
         if header.made_for != *made_for {
             return Ok(None);
         }
-        // Both lie inside the file, so what is allocated here is no more than its length.
+        // Both lie inside the file, so this is no more than its length; but that can be more than there is memory.
+        let _room = budget
+            .reserve(Bytes(header.cells.bytes + header.materials.bytes), "the tables of a working file")?;
         let mut sections = [header.cells, header.materials].map(|section| vec![0; section.bytes as usize]);
         for (bytes, section) in sections.iter_mut().zip([header.cells, header.materials]) {
             working.read(section.offset, bytes)?;
@@ -240,7 +246,7 @@ impl LazyModel {
             WorkingOptions { source, options: options_hash(&options.compile, options.cell_triangles) };
         let contents = match options.anew || source == SourceRecord::default() {
             true => None,
-            false => Contents::read(&working, &made_for)?,
+            false => Contents::read(&working, &made_for, budget)?,
         };
         let Some(contents) = contents else {
             working.empty()?;
