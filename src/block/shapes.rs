@@ -279,6 +279,9 @@ pub(super) fn decode(
     }
     if negative & SIGNS != 0 {
         Err(Fault(0, "an index is out of range"))
+    } else if parents[0].parallelogram().is_some() {
+        // The corners that it would be predicted from are itself: what was decoded before would show.
+        Err(Fault(0, "its first vertex is predicted"))
     } else if (met & 0x7fff) as usize != vertex_count || named != streams.named.len() || hits != predicted {
         Err(Fault(0, "its triangles do not use what its header counts"))
     } else {

@@ -4,8 +4,12 @@ use proptest::prelude::*;
 
 use super::planes::{gather, merge, split, width_of};
 use super::shapes::{self, Connectivity, DISTANCES_SLACK, Parents, Streams};
-use super::{Fault, lzo};
+use super::{
+    BLOCK_HEADER_BYTES, BlockCheck, BlockData, BlockLimits, DecodeScratch, Fault, checksum, decode, lzo,
+};
+use crate::geom::Precision;
 use crate::procedural::random::Random;
+use crate::units::BlockId;
 
 // --- LZO against the decoder that comes with the encoder ----------------------------------------------------------
 
@@ -167,6 +171,8 @@ fn decode_naively(streams: &Streams<'_>, vertex_count: usize, predicted: usize) 
         before = triangle;
     }
     let used = named.next().is_none() && far.next().is_none() && parents.len() == vertex_count;
+    // The first vertex has none that it could be predicted from.
+    let used = used && !matches!(parents.first(), Some(Some(_)));
     let hits = parents.iter().flatten().count();
     (used && hits == predicted).then_some((triangles, parents))
 }
@@ -240,4 +246,40 @@ proptest! {
         }
         prop_assert!(agreed <= 1);
     }
+}
+
+#[test]
+fn no_first_vertex_is_predicted() {
+    // Vertex 0 across an edge of the triangle before the first: itself, which is not known yet.
+    let shapes = [7, 0];
+    let streams = Streams { shapes: &shapes, named: &[], far: &[] };
+    assert!(decode_fast(&streams, 4, 1).is_err());
+    let later = [31, 7, 0];
+    let streams = Streams { shapes: &later, named: &[], far: &[] };
+    assert!(decode_fast(&streams, 4, 1).is_err());
+
+    let mut bytes = vec![0; BLOCK_HEADER_BYTES];
+    bytes[0] = 0xb1;
+    // Two triangles, four vertices, one of them predicted, one run of ids, one of materials.
+    for (at, count) in [(10, 2), (12, 4), (14, 1), (20, 1), (22, 1), (24, 8)] {
+        bytes[at] = count;
+    }
+    bytes.extend([7, 0, 1, 0, 0, 0, 1, 0]);
+    let check = BlockCheck {
+        block: BlockId(0),
+        checksum: checksum(&bytes),
+        triangle_count: 2,
+        vertex_count: 4,
+        material_range: [0, 0],
+    };
+    let limits = BlockLimits { block_bytes_max: 4096 };
+    let mut scratch = DecodeScratch::with_limits(limits);
+    let mut outcomes = [0.0, 7.0].map(|before| {
+        let mut data = BlockData::with_limits(limits);
+        data.vertices.resize(9, [before; 3]);
+        let decoded = decode(&bytes, &check, Precision::Float32, limits, &mut scratch, &mut data);
+        decoded.map(|()| data.vertices.clone())
+    });
+    outcomes.sort_by_key(|outcome| outcome.is_err());
+    assert_eq!(outcomes[0], outcomes[1], "what was decoded before shows");
 }
