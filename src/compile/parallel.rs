@@ -1,5 +1,7 @@
 //! Buckets to blocks on any number of threads, written in one order.
 
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc;
@@ -87,6 +89,9 @@ pub(super) fn encode_buckets<P: Point>(
     Ok(worker.time)
 }
 
+/// What comes of a bucket: its blocks, an error, or the panic of the thread that worked on it.
+type Outcome = Result<Result<EncodedBucket, CompileError>, Box<dyn Any + Send>>;
+
 fn encode_in_pool<P: Point>(
     scattered: &Scattered<P>,
     workers: Vec<Worker<P>>,
@@ -99,7 +104,7 @@ fn encode_in_pool<P: Point>(
     let next = AtomicUsize::new(0);
     let stop = AtomicBool::new(false);
     let total = Mutex::new(CutTime::default());
-    let (done_sender, done) = mpsc::channel::<(usize, Result<EncodedBucket, CompileError>)>();
+    let (done_sender, done) = mpsc::channel::<(usize, Outcome)>();
     let (spare_sender, spares) = mpsc::channel::<EncodedBucket>();
     let spares = Mutex::new(spares);
     for bucket in spare.drain(..) {
@@ -122,8 +127,10 @@ fn encode_in_pool<P: Point>(
                     if index >= count || stop.load(Ordering::Relaxed) {
                         break;
                     }
-                    let result = worker.make(scattered, index, &mut out).map(|()| out);
-                    if done_sender.send((index, result)).is_err() {
+                    // A panic must be heard of, and not only when the scope ends: its bucket would be waited for by the calling
+                    // thread, and a buffer from that thread by the other workers.
+                    let make = AssertUnwindSafe(|| worker.make(scattered, index, &mut out).map(|()| out));
+                    if done_sender.send((index, catch_unwind(make))).is_err() {
                         break;
                     }
                 }
@@ -146,9 +153,14 @@ fn encode_in_pool<P: Point>(
                 continue;
             }
             match done.recv() {
-                Ok((index, Ok(bucket))) => waiting.push((index, bucket)),
-                Ok((_, Err(error))) => result = Err(error),
-                // All workers are gone before the last bucket: one panicked, and the scope passes that on.
+                Ok((index, Ok(Ok(bucket)))) => waiting.push((index, bucket)),
+                Ok((_, Ok(Err(error)))) => result = Err(error),
+                Ok((_, Err(panic))) => {
+                    stop.store(true, Ordering::Relaxed);
+                    // Lets go of the buffers' sender, too.
+                    resume_unwind(panic)
+                }
+                // All workers are gone before the last bucket, which none does without having said why.
                 Err(mpsc::RecvError) => break,
             }
         }
@@ -159,4 +171,70 @@ fn encode_in_pool<P: Point>(
     })?;
     let total = *total.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     Ok(total)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+    use std::time::Duration;
+
+    use super::*;
+    use crate::block::{BlockLimits, Codec};
+    use crate::budget::MemoryBudget;
+    use crate::compile::chunk::{ChunkRecord, ChunkWriter};
+    use crate::compile::records::ChunkRecords;
+    use crate::compile::spill::{Spill, SpillPlace};
+    use crate::compile::temporary::DiskQuota;
+    use crate::geom::Precision;
+    use crate::units::Bytes;
+
+    /// So many buckets of one triangle each.
+    fn scattered(count: u32) -> Scattered<[f32; 3]> {
+        let budget = MemoryBudget::new(Bytes::mib(16));
+        let place = SpillPlace {
+            dir: std::env::temp_dir(),
+            name: "buckets".into(),
+            quota: DiskQuota::new(None),
+            budget: budget.clone(),
+        };
+        // All of it fits in memory, so no file is made.
+        let mut spill = Spill::new(place, ".spill", 0).unwrap();
+        let (mut writer, mut chunks) = (ChunkWriter::new(), ChunkRecords::new(&budget));
+        for bucket in 0..count {
+            let corner = |vertex| Ok([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]][vertex as usize]);
+            let bytes = writer.write(&[[0, 1, 2, 0]], bucket.into(), &[[1, 0]], corner).unwrap();
+            let (offset, bytes) = (spill.append(bytes).unwrap(), bytes.len() as u32);
+            chunks.push(ChunkRecord { offset, bytes, bucket, spill: 0, triangles: 1, vertices: 3 }).unwrap();
+        }
+        let buckets = (0..count as usize).map(|bucket| bucket..bucket + 1).collect();
+        Scattered { spills: vec![spill], chunks, buckets, skipped: 0, writer }
+    }
+
+    fn settings() -> BlockSettings {
+        let limits = BlockLimits { block_bytes_max: 4096 };
+        BlockSettings { precision: Precision::Float32, limits, codec: Codec::Raw }
+    }
+
+    #[test]
+    fn a_worker_that_panics_ends_the_others() {
+        let (sender, outcome) = mpsc::channel();
+        // On a thread of its own: what waits for ever would be a test that never ends.
+        std::thread::spawn(move || {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+            let mut scattered = scattered(40);
+            // There is no such spill.
+            scattered.chunks[2].spill = 9;
+            let mut taken = 0;
+            let result = catch_unwind(AssertUnwindSafe(|| {
+                let workers = (0..3).map(|_| Worker::new(settings())).collect();
+                encode_buckets(&scattered, workers, Some(&pool), |_| {
+                    taken += 1;
+                    Ok(())
+                })
+                .map(drop)
+            }));
+            sender.send((result.is_err(), taken)).unwrap();
+        });
+        assert_eq!(outcome.recv_timeout(Duration::from_secs(20)), Ok((true, 2)));
+    }
 }
