@@ -109,7 +109,8 @@ impl<P: Point> ChunkWriter<P> {
                 run = [id - next_id, 0];
             }
             run[1] += 1;
-            next_id = id + 1;
+            // Nothing comes after the greatest.
+            next_id = id.wrapping_add(1);
         }
         id_runs.push(run);
         let counts = [
@@ -267,4 +268,20 @@ fn take<T: bytemuck::Pod>(bytes: &mut &[u8], count: usize, into: &mut Vec<T>) ->
     // A copy of bytes into typed memory: the bytes need not be aligned.
     bytemuck::cast_slice_mut(into).copy_from_slice(items);
     true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_may_be_as_far_apart_as_a_buffer_allows() {
+        let mut writer = ChunkWriter::new();
+        let corner = |vertex: u32| Ok([vertex as f32, 0.0, 0.0]);
+        let triangles = [[0, 1, 2, 0], [2, 1, 3, 1], [0, 1, 3, u32::MAX]];
+        let bytes = writer.write(&triangles, 5, &[[3, 0]], corner).unwrap();
+        let mut chunk = Chunk::<[f32; 3]>::new();
+        assert!(chunk.read(bytes) && chunk.is_consistent());
+        assert_eq!((chunk.first_id, &chunk.id_runs[..]), (5, &[[0, 2], [u32::MAX - 2, 1]][..]));
+    }
 }
