@@ -11,6 +11,7 @@ use outcrop::MemoryBudget;
 use outcrop::compile::{CompileOptions, Compiler, Control, Phase, Threads, compile_file};
 use outcrop::error::{CompileError, ImportError};
 use outcrop::import::{MeshSink, VertexBatch};
+use outcrop::model::MaterialRecord;
 use outcrop::procedural::{Gears, Tessellation};
 use outcrop::units::{Bytes, MaterialId};
 
@@ -214,4 +215,32 @@ fn options_that_make_no_sense_are_refused() {
         let result = Compiler::new(place.output(), options, &budget, &mut |_| Control::Continue).map(drop);
         assert!(matches!(result, Err(CompileError::Limit { .. })), "{result:?}");
     }
+}
+
+#[test]
+fn what_comes_after_an_error_of_a_thread_is_refused() {
+    let place = Place::new();
+    let budget = MemoryBudget::new(ROOMY);
+    let options = CompileOptions { threads: Threads::Count(2), ..CompileOptions::default() };
+    let mut progress = |_| Control::Continue;
+    let mut compiler = Compiler::new(place.output(), options, &budget, &mut progress).unwrap();
+    compiler.material(MaterialRecord::default()).unwrap();
+    let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [f32::NAN, 0.0, 0.0]];
+    compiler.vertices(VertexBatch::Float32(&vertices)).unwrap();
+    compiler.vertices_complete().unwrap();
+    compiler.triangles(&[[0, 1, 3]], MaterialId(0)).unwrap();
+    // The thread that meets the first triangle stops; when that shows depends on the threads.
+    let batch = vec![[0, 1, 2]; 16 << 10];
+    let error = loop {
+        if let Err(error) = compiler.triangles(&batch, MaterialId(0)) {
+            break error;
+        }
+    };
+    assert!(matches!(error, CompileError::NotFinite { triangle: 0 }), "{error}");
+    for _ in 0..2 {
+        let result = (0..3).try_for_each(|_| compiler.triangles(&batch, MaterialId(0)));
+        assert!(matches!(result, Err(CompileError::Limit { .. })), "{result:?}");
+    }
+    assert!(matches!(compiler.finish(), Err(CompileError::Limit { .. })));
+    assert!(place.files().is_empty());
 }

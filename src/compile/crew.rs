@@ -102,6 +102,7 @@ impl<P: Point> Crew<P> {
         if self.open.triangles.is_empty() {
             return Ok(());
         }
+        self.require_whole()?;
         let triangles = self.spare.try_recv().unwrap_or_else(|_| Vec::with_capacity(BATCH_TRIANGLES));
         let batch = Batch { triangles: std::mem::replace(&mut self.open.triangles, triangles), ..self.open };
         self.turn = (self.turn + 1) % self.senders.len();
@@ -109,6 +110,14 @@ impl<P: Point> Crew<P> {
             Ok(()) => Ok(()),
             // That thread has stopped before its time: it failed.
             Err(_) => Err(self.failure()),
+        }
+    }
+
+    /// An error if a thread has failed before: what it had is lost, and the others have been sent home.
+    fn require_whole(&self) -> Result<(), CompileError> {
+        match self.senders.is_empty() {
+            true => Err(CompileError::Limit { reason: "an earlier error has ended this compile".into() }),
+            false => Ok(()),
         }
     }
 
@@ -128,6 +137,7 @@ impl<P: Point> Crew<P> {
     /// Waits for all threads and joins their buckets.
     pub(super) fn finish(mut self) -> Result<(Scattered<P>, Meter), CompileError> {
         self.hand_over()?;
+        self.require_whole()?;
         self.senders.clear();
         let (mut parts, mut time) = (Vec::new(), Meter::default());
         while let Ok(outcome) = self.outcomes.recv() {
