@@ -335,3 +335,16 @@ fn coordinates_that_do_not_fit_are_errors() {
     }
     assert_eq!(place.files(), ["model.outcrop"]);
 }
+
+#[test]
+fn what_lies_beyond_f32_on_all_sides_goes_to_a_lattice() {
+    // Rounded to f32 no two of the vertices are at a finite distance from each other.
+    let corners = vec![[1e50, 0.0, 0.0], [-1e50, 0.0, 0.0], [0.0, 1e50, 0.0], [3e50, 3e50, 0.0]];
+    let mut mesh = Mesh::new(Vertices::Float64(corners), vec![[0, 1, 2], [0, 3, 2]]);
+    for complete_first in [true, false] {
+        mesh.complete_first = complete_first;
+        let (report, bytes) = compile(&mesh, &CompileOptions::default(), ROOMY);
+        assert!(report.tolerance_met);
+        assert_on_lattice(&mesh, &report, &bytes);
+    }
+}

@@ -68,13 +68,19 @@ impl RoundingWatch {
             let moved = f64::from(a[3].max(b[3]).max(c[3]));
             let (ab, bc, ca) = (square_distance(a, b), square_distance(b, c), square_distance(c, a));
             let shortest = ab.min(bc).min(ca);
-            // The usual case. False if an edge is zero and something moved, and for coordinates that are not finite.
-            if moved * moved <= square_tolerance * shortest {
+            // The usual case. False if an edge is zero and something moved, for coordinates that are not finite, and beyond f32, where
+            // edges may seem infinite.
+            if moved < f64::INFINITY && moved * moved <= square_tolerance * shortest {
                 continue;
             }
             if [a, b, c].iter().any(|vertex| vertex[3].is_nan()) {
                 // Not finite, which the scatter deals with.
                 continue;
+            }
+            if moved == f64::INFINITY {
+                // Beyond f32, whatever the edges.
+                (self.exceeded, self.certain) = (true, true);
+                return Ok(());
             }
             let positive = |square: f64| if square > 0.0 { square } else { f64::INFINITY };
             let shortest = positive(ab).min(positive(bc)).min(positive(ca));
