@@ -91,7 +91,9 @@ pub enum Threads {
     /// This many threads, made for the job and ended with it: a compile has them beside the calling thread, a render
     /// counts the calling thread among them. 0 and 1 mean [`Threads::One`].
     Count(usize),
-    /// The caller's pool. The job must not be started from one of its threads.
+    /// The caller's pool. The job must not be started from one of its threads. From the last vertex to its end a compile keeps all of
+    /// them: what feeds a [`Compiler`](super::Compiler) must not wait for the same pool, and compilers that one thread feeds in turns
+    /// need a pool each.
     Pool(Arc<rayon::ThreadPool>),
 }
 
