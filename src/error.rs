@@ -455,9 +455,9 @@ pub enum TraceError {
         /// What the largest tree takes.
         needed: Bytes,
     },
-    /// A cache that the caller made has fewer slots than there may be tracers, so one could be left without any.
+    /// The cache has, or may have, fewer slots than there may be tracers, so one could be left without any.
     #[error(
-        "the given cache has {slot_count} slots and needs {needed}, one for each tracer: make it larger, or lower `OctreeOptions::tracers_max`"
+        "the cache may have {slot_count} slots and needs {needed}, one for each tracer: raise `OctreeOptions::slots_max` or make the given cache larger, or lower `OctreeOptions::tracers_max`"
     )]
     TooFewSlots {
         /// How many it has.

@@ -124,3 +124,21 @@ fn what_an_octree_is_can_be_printed() {
     let text = format!("{octree:?}");
     assert!(text.contains("tier: Certified") && text.contains("tracers_max: 1"), "{text}");
 }
+
+#[test]
+fn too_few_slots_are_told_from_too_little_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sphere.outcrop");
+    let sphere = Icosphere::new(1.0, [0.0; 3], 5).unwrap();
+    let options = CompileOptions { block_bytes: 4096, ..CompileOptions::default() };
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    compile_shape(&sphere, &path, &options, &budget, &mut |_| Control::Continue).unwrap();
+    let source: Arc<dyn BlockSource> = Arc::new(DiskSource::open(&path).unwrap());
+    for slots_max in [0, 2] {
+        let options =
+            OctreeOptions { tracers_max: 3, slots_max: Some(slots_max), ..OctreeOptions::default() };
+        let error = LazyOctree::open(Arc::clone(&source), &budget, options).map(|_| ()).unwrap_err();
+        let expected = TraceError::TooFewSlots { slot_count: slots_max, needed: 3 };
+        assert_eq!(error.to_string(), expected.to_string());
+    }
+}

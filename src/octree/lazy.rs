@@ -63,7 +63,8 @@ impl LazyOctree {
     /// in the budget before.
     ///
     /// # Errors
-    /// [`TraceError::Budget`] if the budget cannot hold directory and coarse tree, and then one slot and the scratch for each tracer.
+    /// [`TraceError::Budget`] if the budget cannot hold directory and coarse tree, and then one slot and the scratch for each tracer,
+    /// [`TraceError::TooFewSlots`] if `slots_max` is less than one for each.
     pub fn open(
         source: Arc<dyn BlockSource>,
         budget: &MemoryBudget,
@@ -77,6 +78,9 @@ impl LazyOctree {
         let slots_max = options.slots_max.unwrap_or(u32::MAX).min(block_count);
         // Fewer slots than tracers can leave a tracer without any.
         let slots_least = options.tracers_max.max(1).min(block_count);
+        if slots_max < slots_least {
+            return Err(TraceError::TooFewSlots { slot_count: slots_max, needed: slots_least });
+        }
 
         let slots_of = |expanded: bool| {
             let bytes = parts.slot_bytes(expanded);
