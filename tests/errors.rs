@@ -6,9 +6,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use outcrop::accuracy::{Knobs, Sampling, TileThreshold};
+use outcrop::cache::{Lru, SlotCache};
 use outcrop::compile::{CompileOptions, Control, Threads, compile_file, compile_shape};
 use outcrop::error::{Error, InstanceError, RenderError, SceneFileError, TextureError, TraceError};
-use outcrop::octree::{OctreeOptions, Tier};
+use outcrop::octree::{LeafLayout, OctreeOptions, Tier};
 use outcrop::procedural::Icosphere;
 use outcrop::render::{RenderSettings, Renderer};
 use outcrop::scene::Scene;
@@ -140,5 +141,21 @@ fn too_few_slots_are_told_from_too_little_memory() {
         let error = LazyOctree::open(Arc::clone(&source), &budget, options).map(|_| ()).unwrap_err();
         let expected = TraceError::TooFewSlots { slot_count: slots_max, needed: 3 };
         assert_eq!(error.to_string(), expected.to_string());
+    }
+}
+
+#[test]
+fn any_number_of_tracers_may_be_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = sphere(folder.path());
+    let budget = MemoryBudget::new(Bytes(u64::MAX));
+    let slot_bytes = LazyOctree::slot_bytes(source.model(), LeafLayout::Expanded);
+    for tracers_max in [1 << 30, u32::MAX] {
+        let cache =
+            SlotCache::new(4, slot_bytes, source.model().block_id_count(), Lru::new(), &budget).unwrap();
+        let options = OctreeOptions { tracers_max, ..OctreeOptions::default() };
+        let octree = LazyOctree::with_cache(Arc::clone(&source), Arc::new(cache), &budget, options).unwrap();
+        assert_eq!(octree.pins_per_tracer(), 1);
+        octree.tracer().unwrap();
     }
 }

@@ -164,7 +164,7 @@ impl LazyOctree {
     /// replaced, as a power of two from 1 to 64.
     pub fn pins_per_tracer(&self) -> u32 {
         const PIN_COUNT_MAX: u32 = 64;
-        let share = self.cache.slot_count() / (4 * self.tracers_max.max(1));
+        let share = self.cache.slot_count() / self.tracers_max.max(1).saturating_mul(4);
         1 << share.clamp(1, PIN_COUNT_MAX).ilog2()
     }
 

@@ -49,7 +49,7 @@ impl<'o> InFlight<'o> {
     /// `None` if there are too few slots for loads in flight.
     pub fn new(loader: &BlockLoader<'o>) -> Option<InFlight<'o>> {
         let octree = loader.octree();
-        let share = octree.cache().slot_count() / (4 * octree.tracers_max().max(1));
+        let share = octree.cache().slot_count() / octree.tracers_max().max(1).saturating_mul(4);
         let limit = InFlight::limit_of(&loader.options()).min(share);
         (limit > 0).then(|| InFlight {
             queue: LoadQueue::new(loader),
