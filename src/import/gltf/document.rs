@@ -195,6 +195,10 @@ fn binary_chunk(path: &Path, file: &mut File, range: Range<u64>) -> Result<Optio
     Ok((kind == u64::from(BINARY_CHUNK)).then(|| start..start + length))
 }
 
+/// Extensions that a file may require beside those that the crate knows. Quantized positions must be required by the files that have
+/// them.
+const EXTENSIONS_READ: [&str; 2] = [super::copies::NAME, "KHR_mesh_quantization"];
+
 /// Reads the JSON text and has its indices checked.
 fn parse(path: &Path, offset: u64, json: &[u8]) -> Result<Document, ImportError> {
     let refused =
@@ -202,8 +206,8 @@ fn parse(path: &Path, offset: u64, json: &[u8]) -> Result<Document, ImportError>
     let mut root: Root = gltf::json::deserialize::from_slice(json).map_err(|error| {
         byte_error(path, offset, format!("the JSON text is no document of glTF 2.0: {error}"))
     })?;
-    // The crate does not know it, but its nodes are read here.
-    root.extensions_required.retain(|extension| extension != super::copies::NAME);
+    // The crate does not know them, but what they say is read here.
+    root.extensions_required.retain(|extension| !EXTENSIONS_READ.contains(&extension.as_str()));
     if let Some((element, reason)) = missing(&root) {
         return Err(refused(element, reason.into()));
     }

@@ -510,3 +510,20 @@ fn damaged_files_do_no_harm() {
         assert!(survived.iter().all(|survived| (1..6000).contains(survived)), "{survived:?}");
     }
 }
+
+/// Files with quantized positions have to require the extension (its specification says so).
+#[test]
+fn files_that_require_quantization_are_read() {
+    let mut sample = square();
+    // Shorts, four for each position: the last is padding.
+    let shorts = SQUARE.iter().flat_map(|[x, y, z]| [*x as i16, *y as i16, *z as i16, 99]);
+    let bytes: Vec<u8> = shorts.flat_map(|number| number.to_le_bytes()).collect();
+    sample.buffer.splice(..48, [bytes, vec![0; 16]].concat());
+    let document = &mut sample.document;
+    document["accessors"][0]["componentType"] = json!(5122);
+    document["bufferViews"][0] = json!({ "buffer": 0, "byteLength": 32, "byteStride": 8 });
+    for key in ["extensionsUsed", "extensionsRequired"] {
+        document[key] = json!(["KHR_mesh_quantization"]);
+    }
+    assert_eq!(sample.corners(), square().corners());
+}
