@@ -197,7 +197,8 @@ fn binary_chunk(path: &Path, file: &mut File, range: Range<u64>) -> Result<Optio
 
 /// Extensions that a file may require beside those that the crate knows. Quantized positions must be required by the files that have
 /// them.
-const EXTENSIONS_READ: [&str; 2] = [super::copies::NAME, "KHR_mesh_quantization"];
+const EXTENSIONS_READ: [&str; 3] =
+    [super::copies::NAME, super::material::TEXTURE_TRANSFORM, "KHR_mesh_quantization"];
 
 /// Reads the JSON text and has its indices checked.
 fn parse(path: &Path, offset: u64, json: &[u8]) -> Result<Document, ImportError> {

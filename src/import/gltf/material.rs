@@ -4,8 +4,9 @@ use std::ops::Range;
 
 use gltf::buffer::{self, View};
 use gltf::image::Source;
+use gltf::json::Value;
 use gltf::material::AlphaMode;
-use gltf::texture::WrappingMode;
+use gltf::texture::{Info, WrappingMode};
 use gltf::{Material, Texture};
 
 use super::super::report::ImportReport;
@@ -13,6 +14,9 @@ use super::data_uri;
 use super::document::Opened;
 use crate::error::ImportError;
 use crate::model::{ImageMap, MaterialImages, MaterialRecord};
+
+/// The extension's name.
+pub(super) const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
 
 /// The material nearest to `material`, with the textures of base colour, normals, roughness, metalness and emission.
 ///
@@ -49,19 +53,25 @@ pub(super) fn record(
         })
     });
     let emission = material.emissive_factor().map(|part| part * material.emissive_strength().unwrap_or(1.0));
-    let mut map = |texture: Texture<'_>, set: u32| image_map(opened, &texture, set, report);
+    let mut map = |texture: Texture<'_>, set: u32, transform: Option<&Value>| {
+        image_map(opened, &texture, set, transform, report)
+    };
+    let mut of_info =
+        |info: Info<'_>| map(info.texture(), info.tex_coord(), info.extension_value(TEXTURE_TRANSFORM));
     let finish = surface.metallic_roughness_texture();
     // A texture times nothing is not looked at.
-    let finish = finish
-        .filter(|_| roughness > 0.0 || metallic > 0.0)
-        .and_then(|info| map(info.texture(), info.tex_coord()));
+    let finish = finish.filter(|_| roughness > 0.0 || metallic > 0.0).and_then(&mut of_info);
     let glow = material.emissive_texture().filter(|_| emission.iter().any(|part| *part > 0.0));
     let images = MaterialImages {
-        diffuse: surface.base_color_texture().and_then(|info| map(info.texture(), info.tex_coord())),
+        diffuse: surface.base_color_texture().and_then(&mut of_info),
         roughness: finish.clone().filter(|_| roughness > 0.0),
         metalness: finish.filter(|_| metallic > 0.0),
-        emission: glow.and_then(|info| map(info.texture(), info.tex_coord())),
-        normal: material.normal_texture().and_then(|info| map(info.texture(), info.tex_coord())),
+        emission: glow.and_then(&mut of_info),
+        normal: material.normal_texture().and_then(|info| {
+            let transform = info.extension_value(TEXTURE_TRANSFORM);
+            let map = map(info.texture(), info.tex_coord(), transform)?;
+            Some(ImageMap { strength: info.scale(), ..map })
+        }),
         ..MaterialImages::default()
     };
     let name = material.name().map_or_else(|| format!("material {index}"), str::to_string);
@@ -94,9 +104,14 @@ fn image_map(
     opened: &Opened,
     texture: &Texture<'_>,
     set: u32,
+    transform: Option<&Value>,
     report: &mut ImportReport,
 ) -> Option<ImageMap> {
     let mut warn = |text: &str| report.warn_once(opened.path(), None, text.into());
+    let Some(Lie { set, scale, offset }) = Lie::of(set, transform) else {
+        warn("a texture that is turned, or whose transform makes no sense, is left out");
+        return None;
+    };
     if set != 0 {
         warn("a texture with texture coordinates of another set than the first is left out");
         return None;
@@ -120,7 +135,39 @@ fn image_map(
     if clamps[0] != clamps[1] || sampler.wrap_s() == WrappingMode::MirroredRepeat {
         warn("a texture that does not go on in both directions alike, or that is mirrored, is repeated");
     }
-    Some(ImageMap { clamp: clamps == [true; 2], ..whole })
+    Some(ImageMap { clamp: clamps == [true; 2], scale, offset, ..whole })
+}
+
+/// How a picture lies on a surface.
+struct Lie {
+    /// The set of texture coordinates.
+    set: u32,
+    scale: [f32; 2],
+    offset: [f32; 2],
+}
+
+impl Lie {
+    /// As a texture's own set and its `KHR_texture_transform` say; `None` for what an [`ImageMap`] cannot have.
+    fn of(set: u32, transform: Option<&Value>) -> Option<Lie> {
+        let Some(transform) = transform else { return Some(Lie { set, scale: [1.0; 2], offset: [0.0; 2] }) };
+        let pair = |key: &str, default: f64| match transform.get(key) {
+            None => Some([default; 2]),
+            Some(pair) => match pair.as_array()?.as_slice() {
+                [x, y] => Some([x.as_f64()?, y.as_f64()?]),
+                _ => None,
+            },
+        };
+        let ([x, y], [u, v]) = (pair("scale", 1.0)?, pair("offset", 0.0)?);
+        let set = match transform.get("texCoord") {
+            None => set,
+            Some(other) => u32::try_from(other.as_u64()?).ok()?,
+        };
+        let is_turned = transform.get("rotation").is_some_and(|angle| angle.as_f64() != Some(0.0));
+        // Texture coordinates of glTF go down from the top, those of MTL up from the bottom.
+        let (scale, offset) = ([x, y].map(|x| x as f32), [u, 1.0 - y - v].map(|x| x as f32));
+        let is_finite = scale.iter().chain(&offset).all(|number| number.is_finite());
+        (is_finite && !is_turned).then_some(Lie { set, scale, offset })
+    }
 }
 
 /// What the data URI of that number holds, if it is in base64.

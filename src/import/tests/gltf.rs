@@ -527,3 +527,47 @@ fn files_that_require_quantization_are_read() {
     }
     assert_eq!(sample.corners(), square().corners());
 }
+
+#[test]
+fn normal_pictures_are_as_strong_as_the_file_says() {
+    let mut sample = square();
+    sample.document["meshes"][0]["primitives"][0]["material"] = json!(0);
+    sample.document["images"] = json!([{ "uri": "a.png" }]);
+    sample.document["textures"] = json!([{ "source": 0 }]);
+    sample.document["materials"] = json!([{ "normalTexture": { "index": 0, "scale": 0.25 } }]);
+    let (mesh, _) = sample.import().unwrap();
+    let images = mesh.materials[0].images.as_ref().unwrap();
+    assert_eq!(images.normal.as_ref().unwrap().strength, 0.25);
+}
+
+#[test]
+fn texture_transforms_move_and_scale_pictures() {
+    let mut sample = square();
+    sample.document["meshes"][0]["primitives"][0]["material"] = json!(0);
+    sample.document["images"] = json!([{ "uri": "a.png" }]);
+    sample.document["textures"] = json!([{ "source": 0 }]);
+    sample.document["extensionsUsed"] = json!(["KHR_texture_transform"]);
+    let with = |transform: Value| {
+        let extensions = json!({ "KHR_texture_transform": transform });
+        let mut sample = sample.clone();
+        sample.document["materials"] = json!([{
+            "pbrMetallicRoughness": { "baseColorTexture": { "index": 0, "extensions": extensions } },
+            "normalTexture": { "index": 0, "extensions": extensions }
+        }]);
+        let (mesh, report) = sample.import().unwrap();
+        let images = mesh.materials[0].images.clone();
+        (images, report.warnings.iter().map(|warning| warning.text.clone()).collect::<Vec<_>>())
+    };
+    let (images, warnings) = with(json!({ "offset": [0.5, 0.25], "scale": [2, 4] }));
+    assert_eq!(warnings, [""; 0]);
+    let images = images.unwrap();
+    for map in [images.diffuse.as_ref().unwrap(), images.normal.as_ref().unwrap()] {
+        // Down is up here: where glTF has v' = 4 v + 1/4, 1 - v goes to 1 - v'.
+        assert_eq!((map.scale, map.offset), ([2.0, 4.0], [0.5, -3.25]));
+    }
+    // Turned ones and those of other coordinates are left out, and that is said.
+    for transform in [json!({ "rotation": 0.5 }), json!({ "texCoord": 1 }), json!({ "scale": [1e300, 1] })] {
+        let (images, warnings) = with(transform.clone());
+        assert!(images.is_none() && warnings.len() == 1, "{transform}: {warnings:?}");
+    }
+}
