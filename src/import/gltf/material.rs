@@ -33,11 +33,18 @@ pub(super) fn record(
     let index = material.index().unwrap_or(0);
     let surface = material.pbr_metallic_roughness();
     let [red, green, blue, alpha] = surface.base_color_factor();
-    let (factor, metallic) = ([red, green, blue], surface.metallic_factor().clamp(0.0, 1.0));
+    // A negative colour would take light away; that of MTL is cut in the same way.
+    let factor = [red, green, blue].map(|part| part.max(0.0));
+    let metallic = surface.metallic_factor().clamp(0.0, 1.0);
     let roughness = surface.roughness_factor().clamp(0.0, 1.0);
     let transmission = material.transmission().map_or(0.0, |part| part.transmission_factor().clamp(0.0, 1.0));
     // 1.5 is what the specification gives dielectrics.
     let refractive_index = material.ior().unwrap_or(1.5);
+    if refractive_index < 1.0 && refractive_index != 0.0 {
+        let reason = format!("its ior is {refractive_index}; it must be 0 or at least 1");
+        return Err(opened.error(format!("materials[{index}]"), reason));
+    }
+    // 1 where it is 0, as the extension wants it.
     let facing = ((refractive_index - 1.0) / (refractive_index + 1.0)).powi(2);
     let opacity = match material.alpha_mode() {
         AlphaMode::Opaque => 1.0 - transmission,
@@ -52,7 +59,8 @@ pub(super) fn record(
             false => 1.0,
         })
     });
-    let emission = material.emissive_factor().map(|part| part * material.emissive_strength().unwrap_or(1.0));
+    let strength = material.emissive_strength().unwrap_or(1.0).max(0.0);
+    let emission = material.emissive_factor().map(|part| part.max(0.0) * strength);
     let mut map = |texture: Texture<'_>, set: u32, transform: Option<&Value>| {
         image_map(opened, &texture, set, transform, report)
     };
@@ -84,7 +92,7 @@ pub(super) fn record(
         opacity,
         transmission: through,
         // What does not bend light has 1 in MTL.
-        refractive_index: if transmission > 0.0 { refractive_index } else { 1.0 },
+        refractive_index: if transmission > 0.0 { refractive_index.max(1.0) } else { 1.0 },
         mirror: false,
         roughness,
         metalness: metallic,

@@ -571,3 +571,34 @@ fn texture_transforms_move_and_scale_pictures() {
         assert!(images.is_none() && warnings.len() == 1, "{transform}: {warnings:?}");
     }
 }
+
+#[test]
+fn colours_of_materials_are_not_negative() {
+    let mut sample = square();
+    sample.document["meshes"][0]["primitives"][0]["material"] = json!(0);
+    sample.document["materials"] = json!([{
+        "pbrMetallicRoughness": { "baseColorFactor": [-2, 0.5, 0.25, 1] }, "emissiveFactor": [-1, 0, 0]
+    }]);
+    let (mesh, _) = sample.import().unwrap();
+    assert_eq!((mesh.materials[0].diffuse, mesh.materials[0].emission), ([0.0, 0.5, 0.25], [0.0; 3]));
+}
+
+#[test]
+fn refractive_indices_are_0_or_at_least_1() {
+    let mut sample = square();
+    sample.document["meshes"][0]["primitives"][0]["material"] = json!(0);
+    sample.document["extensionsUsed"] = json!(["KHR_materials_ior", "KHR_materials_transmission"]);
+    let mut with = |ior: f64| {
+        sample.document["materials"] = json!([{ "extensions": {
+            "KHR_materials_ior": { "ior": ior }, "KHR_materials_transmission": { "transmissionFactor": 1 }
+        } }]);
+        sample.import()
+    };
+    // All light is reflected by what has 0.
+    let (mesh, _) = with(0.0).unwrap();
+    assert_eq!((mesh.materials[0].refractive_index, mesh.materials[0].specular), (1.0, [1.0; 3]));
+    for ior in [0.5, -0.5, -3.0] {
+        let (element, reason) = refused(with(ior));
+        assert!(element == "materials[0]" && reason.contains("ior"), "{element}: {reason}");
+    }
+}
