@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::feed::Feed;
 use super::mtl;
 use super::report::{ImportOptions, ImportReport};
-use super::text::shown;
+use super::text::{self, shown};
 use crate::error::ImportError;
 use crate::model::MaterialRecord;
 use crate::units::MaterialId;
@@ -155,7 +155,7 @@ impl<'a> Materials<'a> {
     /// The material of that name, for `usemtl`; with a warning, the default one if there is none.
     pub(super) fn named(&self, name: &[u8], line: u64, feed: &mut Feed<'_>) -> Option<MaterialId> {
         let name = name.trim_ascii();
-        let id = self.by_name.get(String::from_utf8_lossy(name).as_ref()).copied();
+        let id = self.by_name.get(&text::name(name)).copied();
         if id.is_none() {
             let text = format!("the material `{}` is not defined; the default one is used", shown(name));
             feed.report.warn_once(self.model, Some(line), text);

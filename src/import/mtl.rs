@@ -10,7 +10,7 @@ use std::path::Path;
 
 use super::library::candidates;
 use super::report::ImportReport;
-use super::text::{shown, words};
+use super::text::{self, shown, words};
 use crate::model::{ImageMap, MaterialImages, MaterialRecord};
 
 /// Longest line; longer ones are cut there.
@@ -165,7 +165,7 @@ struct Statement {
 
 impl Block {
     fn named(name: &[u8], line: u64) -> Block {
-        Block { name: String::from_utf8_lossy(name).into_owned(), line, ..Block::default() }
+        Block { name: text::name(name), line, ..Block::default() }
     }
 
     /// Where a picture goes; none if pictures of its kind are not used.

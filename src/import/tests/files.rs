@@ -138,3 +138,14 @@ fn source_records_notice_changes() {
     }
     assert!(source_record(Path::new("absent.obj")).is_err());
 }
+
+/// Names in an encoding of one's own country are no UTF-8, and differ all the same.
+#[test]
+fn materials_with_names_in_other_encodings_are_told_apart() {
+    let folder = Folder::new();
+    folder.write("x.mtl", b"newmtl gr\xFCn\nKd 0 1 0\nnewmtl gr\xE4n\nKd 1 0 0\n");
+    let text = b"mtllib x.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl gr\xFCn\nf 1 2 3\n";
+    let mut mesh = MeshBuffer::new();
+    import_file(folder.write("x.obj", text), &ImportOptions::default(), &mut mesh).unwrap();
+    assert_eq!(mesh.materials[mesh.triangle_materials[0].0 as usize].diffuse, [0.0, 1.0, 0.0]);
+}

@@ -86,7 +86,7 @@ fn broken_statements_cost_only_themselves() {
     assert_eq!(records.len(), 2);
     assert_eq!((records[0].specular, records[0].opacity), ([0.5; 3], 0.5));
     assert_eq!(records[0].diffuse, MaterialRecord::default().diffuse);
-    assert_eq!(records[1].name, "\u{FFFD}");
+    assert_eq!(records[1].name, "\u{E9}");
     assert_eq!(records[1].diffuse, [0.7, 0.0, 0.7]);
     assert_eq!((records[1].opacity, records[1].emission), (1.0, [0.0; 3]));
     assert_eq!(
