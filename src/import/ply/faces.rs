@@ -43,6 +43,11 @@ pub(super) fn read(
         return Ok(());
     }
     let list = index_list(element).map_err(|reason| values.error(reason))?;
+    // For each corner of a face, as MeshLab writes them.
+    if element.properties.iter().any(|property| property.name == "texcoord") {
+        let ignored = &mut feed.report.ignored.texture_coordinates;
+        *ignored = ignored.saturating_add(element.count);
+    }
     let mut look = Look::of(element, materials, feed);
     if look.is_none() {
         let material = materials.only(feed);

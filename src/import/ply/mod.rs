@@ -118,10 +118,13 @@ fn body(
             }
         } else if !has_faces(element) {
             if pass != Pass::Faces {
-                match element.name.as_str() {
-                    "edge" => feed.report.ignored.lines_and_points += element.count,
-                    _ => feed.report.ignored.unknown += element.count,
-                }
+                let ignored = &mut feed.report.ignored;
+                let count = match element.name.as_str() {
+                    "edge" => &mut ignored.lines_and_points,
+                    _ => &mut ignored.unknown,
+                };
+                // Records without properties take no bytes, so the header may promise any number of them.
+                *count = count.saturating_add(element.count);
             }
             skip(&mut values, element, feed)?;
         } else if pass == Pass::Vertices {

@@ -172,3 +172,23 @@ fn faults_name_place_and_reason() {
     let endless = ascii(&format!("element x 18446744073709551615\nelement vertex 0\n{XYZ}end_header\n"));
     assert_eq!(ply(endless).unwrap().0.vertices.len(), 0);
 }
+
+/// Records of no properties take no bytes, so any number of them can be promised.
+#[test]
+fn counts_of_what_is_left_out_do_not_overflow() {
+    let text = "ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\n\
+        element a 18446744073709551615\nelement b 18446744073709551615\nelement edge 18446744073709551615\n\
+        element edge 1\nend_header\n";
+    let (_, report) = ply(text).unwrap();
+    assert_eq!((report.ignored.unknown, report.ignored.lines_and_points), (u64::MAX, u64::MAX));
+}
+
+/// As MeshLab writes them: texture coordinates for each corner of a face.
+#[test]
+fn texture_coordinates_of_faces_are_counted() {
+    let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+        element face 1\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n\
+        0 0 0\n1 0 0\n0 1 0\n3 0 1 2 6 0 0 1 0 0 1\n";
+    let (mesh, report) = ply(text).unwrap();
+    assert_eq!((mesh.triangles.len(), report.ignored.texture_coordinates), (1, 1));
+}
