@@ -143,6 +143,11 @@ fn read_binary(window: &mut Window<'_>, name: &Path, feed: &mut Feed<'_>) -> Res
     Ok(())
 }
 
+/// Whether two words are those that a facet starts with.
+fn is_facet_start((first, second): (&[u8], &[u8])) -> bool {
+    first.eq_ignore_ascii_case(b"facet") && second.eq_ignore_ascii_case(b"normal")
+}
+
 /// Reads a text file.
 struct Text<'w, 'a> {
     window: &'w mut Window<'a>,
@@ -213,6 +218,12 @@ impl Text<'_, '_> {
                 feed.report.ignored.normals += 1;
             }
             b"endfacet" => facet.open = None,
+            // Else a file without line ends would be one with a long name and no facets.
+            b"solid" if words.clone().zip(words.skip(1)).any(is_facet_start) => {
+                return Err(
+                    self.error("a facet on the line of `solid`; each statement needs a line of its own")
+                );
+            }
             // The name behind these may be anything, and `end solid` is common.
             b"" | b"solid" | b"endsolid" | b"end" => {}
             _ if facet.in_loop || facet.open.is_some() => {

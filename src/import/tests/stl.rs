@@ -111,3 +111,11 @@ fn faults_name_line_and_reason() {
         assert_eq!(error(stl(&text)), expected, "{text:?}");
     }
 }
+
+/// Facets on the line of `solid` would be lost without a word.
+#[test]
+fn text_without_line_ends_is_refused() {
+    let text = "solid x facet normal 0 0 1 outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet endsolid x";
+    assert!(error(stl(text)).contains("line"), "{}", error(stl(text)));
+    assert_eq!(stl("solid the facet of a vertex\nendsolid the facet of a vertex\n").unwrap().1.triangles, 0);
+}
