@@ -32,8 +32,8 @@ pub(super) const SHIFTS: [u64; 9] = [1, 10, 100, 1_000, 10_000, 100_000, 1_000_0
 /// Longest token that is looked at as a number; longer digit strings do not occur in models.
 const TOKEN_BYTES_MAX: usize = 4096;
 
-/// Reads a whole token as a number. Takes every form that model files have: `1.`, `.5`, `+1`, `1e-5`, `nan`, `inf`
-/// and the `1.#INF`, `1.#IND` of old Windows programs; `None` for anything else.
+/// Reads a whole token as a number. Takes every form that model files have: `1.`, `.5`, `+1`, `1e-5`, `nan`, `inf`,
+/// the `nan(ind)` of Windows programs and the `1.#INF`, `1.#IND` of old ones; `None` for anything else.
 pub(super) fn parse(token: &[u8]) -> Option<f64> {
     if token.len() > TOKEN_BYTES_MAX {
         return None;
@@ -49,6 +49,9 @@ pub(super) fn parse(token: &[u8]) -> Option<f64> {
         [b'-', rest @ ..] => (-1.0, rest),
         rest => (1.0, rest),
     };
+    if rest.starts_with(b"nan(") && rest.ends_with(b")") {
+        return Some(f64::NAN);
+    }
     let name = rest.strip_prefix(b"1.#")?;
     if name.starts_with(b"INF") {
         return Some(sign * f64::INFINITY);

@@ -83,6 +83,14 @@ fn digits_stop_at_any_other_byte() {
     assert_eq!(digits(b"1234567", 0), None);
 }
 
+#[test]
+fn what_is_no_number_on_windows_is_none_here() {
+    for text in ["nan(ind)", "-nan(ind)", "nan(snan)", "-1.#IND", "1.#QNAN0"] {
+        assert!(parse(text.as_bytes()).is_some_and(f64::is_nan), "{text}");
+    }
+    assert_eq!([parse(b"nan("), parse(b"nan(ind"), parse(b"(nan)")], [None; 3]);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
