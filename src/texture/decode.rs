@@ -108,6 +108,9 @@ fn png(
 ) -> Result<(), TextureError> {
     let failed = |error: png::DecodingError| refused(path, format!("cannot be decoded: {error}"));
     let mut decoder = png::Decoder::new(std::io::BufReader::new(file));
+    // Not used, and a small file can hold one of 64 MiB, which nothing has reserved.
+    decoder.set_ignore_iccp_chunk(true);
+    decoder.set_ignore_text_chunk(true);
     // Palettes, fewer and more than eight bits: all to eight bits for each channel.
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(failed)?;
