@@ -246,7 +246,8 @@ mod tests {
         assert!(read_bytes(&row(&[1, 1, 1, 8])).is_err());
         assert!(read_bytes(&row(&[1, 1, 1, 0].repeat(1000))).is_err());
         assert!(read_bytes(&row(&[1, 1, 1, 1].repeat(7))).is_err());
-        assert!(read_bytes(b"#?RADIANCE\n\n-Y 4000000000 +X 4000000000\n").is_err());
+        let too_large = read_bytes(b"#?RADIANCE\n\n-Y 4000000000 +X 4000000000\n").unwrap_err().to_string();
+        assert!(too_large.contains("sky.hdr") && too_large.contains("4000000000 x"), "{too_large}");
         assert!(read_bytes(b"#?RADIANCE\n\n-Y 4000 +X 4000\n").is_err(), "beyond the budget");
         assert!(read_bytes(&[b"#?RADIANCE\n".to_vec(), vec![b'x'; 100_000]].concat()).is_err());
         assert!(read_bytes(b"#?RADIANCE\n\n+Y 1 +X 1\n\x01\x01\x01\x81").is_err());

@@ -55,12 +55,12 @@ impl EnvironmentImage {
     /// Reads a Radiance picture (`.hdr`, `.pic`), or the first layer with red, green and blue of an OpenEXR file (`.exr`, feature `exr`).
     ///
     /// # Errors
-    /// [`RenderError::Read`] if the file cannot be read, is damaged, or is of a format that this build does not read; otherwise
-    /// as for [`EnvironmentImage::new`]. Memory is reserved before the picture is decoded.
+    /// [`RenderError::Read`] if the file cannot be read, is damaged, is no picture as [`EnvironmentImage::new`] takes them, or is of a
+    /// format that this build does not read; [`RenderError::Budget`]. Memory is reserved before the picture is decoded.
     pub fn read(path: impl AsRef<Path>, budget: &MemoryBudget) -> Result<EnvironmentImage, RenderError> {
         let path = path.as_ref();
         let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or("");
-        match extension.to_ascii_lowercase().as_str() {
+        let image = match extension.to_ascii_lowercase().as_str() {
             #[cfg(feature = "exr")]
             "exr" => super::exr::read(path, budget),
             "hdr" | "pic" => super::hdr::read(path, budget),
@@ -72,7 +72,12 @@ impl EnvironmentImage {
                 };
                 Err(RenderError::Read { path: path.to_path_buf(), reason: reason.to_string() })
             }
-        }
+        };
+        image.map_err(|error| match error {
+            // What is wrong with the picture is wrong with this file.
+            RenderError::Setting { reason, .. } => RenderError::Read { path: path.to_path_buf(), reason },
+            error => error,
+        })
     }
 
     /// What a picture of this size takes from the budget.
