@@ -11,6 +11,11 @@ use crate::error::TransportError;
 /// Frames of one peer that may wait, in bytes; one frame always may.
 pub(super) const WAITING_BYTES_MAX: usize = 4 << 20;
 
+/// Room that a frame of so many bytes takes while it waits: one of no bytes takes some too.
+pub(super) fn room(frame_bytes: usize) -> usize {
+    frame_bytes.max(64)
+}
+
 #[derive(Default)]
 struct State {
     events: VecDeque<TransportEvent>,
@@ -45,9 +50,8 @@ impl Mailbox {
         loop {
             match state.waiting.get_mut(&peer) {
                 None => return false,
-                Some(waiting) if *waiting == 0 || *waiting + bytes.len() <= WAITING_BYTES_MAX => {
-                    // A frame of no bytes takes room too.
-                    *waiting += bytes.len().max(1);
+                Some(waiting) if *waiting == 0 || *waiting + room(bytes.len()) <= WAITING_BYTES_MAX => {
+                    *waiting += room(bytes.len());
                     break;
                 }
                 Some(_) => self.taken.wait(&mut state),
@@ -63,8 +67,8 @@ impl Mailbox {
         let mut state = self.state.lock();
         match state.waiting.get_mut(&peer) {
             None => return Err((bytes, TransportError::NotConnected { peer: peer.0 })),
-            Some(waiting) if *waiting == 0 || *waiting + bytes.len() <= WAITING_BYTES_MAX => {
-                *waiting += bytes.len().max(1);
+            Some(waiting) if *waiting == 0 || *waiting + room(bytes.len()) <= WAITING_BYTES_MAX => {
+                *waiting += room(bytes.len());
             }
             Some(_) => return Err((bytes, TransportError::QueueFull { peer: peer.0 })),
         }
@@ -121,7 +125,7 @@ impl Mailbox {
                 if let TransportEvent::Frame { peer, bytes } = &event
                     && let Some(waiting) = state.waiting.get_mut(peer)
                 {
-                    *waiting -= bytes.len().max(1);
+                    *waiting -= room(bytes.len());
                     self.taken.notify_all();
                 }
                 return Ok(Some(event));
@@ -155,5 +159,26 @@ impl Mailbox {
         self.arrived.notify_all();
         self.taken.notify_all();
         peers
+    }
+}
+
+#[cfg(all(test, feature = "tcp"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_frames_take_the_room_that_they_take() {
+        let (mailbox, peer) = (Mailbox::default(), PeerId(1));
+        mailbox.open(peer, None);
+        let mut count = 0;
+        while count < WAITING_BYTES_MAX && mailbox.try_put_frame(peer, Vec::new()).is_ok() {
+            count += 1;
+        }
+        // Each is an event in the queue, however few bytes it has.
+        assert!(count * size_of::<TransportEvent>() <= 2 * WAITING_BYTES_MAX, "{count} frames");
+        for _ in 0..count {
+            mailbox.take(Duration::ZERO).unwrap();
+        }
+        assert!(mailbox.try_put_frame(peer, vec![0; WAITING_BYTES_MAX]).is_ok());
     }
 }

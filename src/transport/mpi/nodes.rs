@@ -4,7 +4,7 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
 use super::super::PeerId;
-use super::super::mailbox::{Mailbox, WAITING_BYTES_MAX};
+use super::super::mailbox::{Mailbox, WAITING_BYTES_MAX, room};
 use super::letter::Letter;
 
 /// Frames of a connection that may wait here for the peer to take what was sent before, in bytes; one frame always may.
@@ -40,9 +40,9 @@ pub struct Way {
     taken: usize,
 }
 
-/// A frame of no bytes takes room too.
+/// As the mailbox at the other end counts, which must have room for what is sent.
 fn weight(frame: &[u8]) -> usize {
-    frame.len().max(1)
+    room(frame.len())
 }
 
 #[derive(Default)]
@@ -123,7 +123,7 @@ impl Nodes {
     /// The node took a frame of so many bytes.
     pub fn took(&mut self, number: u64, bytes: usize) {
         let Some(way) = self.ways.get_mut(&number) else { return };
-        way.taken += bytes.max(1);
+        way.taken += room(bytes);
         if way.taken >= TAKEN_BYTES {
             self.busy.push_back(number);
             self.is_called = true;
