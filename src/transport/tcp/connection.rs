@@ -23,6 +23,8 @@ struct Queue {
     bytes: usize,
     /// What is in the queue is still sent, then the connection ends.
     finishing: bool,
+    /// When it ends in any case, if it is finishing.
+    finish_by: Option<Instant>,
     ended: bool,
 }
 
@@ -31,14 +33,21 @@ pub(super) struct Connection {
     queue: Mutex<Queue>,
     changed: Condvar,
     queue_bytes_max: usize,
+    finish_time_max: Duration,
 }
 
 impl Connection {
-    pub fn new(stream: TcpStream, queue_bytes_max: usize) -> Connection {
+    pub fn new(stream: TcpStream, queue_bytes_max: usize, finish_time_max: Duration) -> Connection {
         // Requests are small and somebody waits for them. If it cannot be set, they are slower.
         let _ = stream.set_nodelay(true);
         let _ = stream.set_write_timeout(Some(WRITE_TIME_MAX));
-        Connection { stream, queue: Mutex::default(), changed: Condvar::new(), queue_bytes_max }
+        Connection {
+            stream,
+            queue: Mutex::default(),
+            changed: Condvar::new(),
+            queue_bytes_max,
+            finish_time_max,
+        }
     }
 
     /// Queues a frame.
@@ -57,9 +66,14 @@ impl Connection {
         Ok(())
     }
 
-    /// Ends the connection when all that is queued is sent.
+    /// Ends the connection when all that is queued is sent, or the time for that is over: a peer that takes little at a time must not
+    /// hold up the one who waits for the end.
     pub fn finish(&self) {
-        self.queue.lock().finishing = true;
+        {
+            let mut queue = self.queue.lock();
+            queue.finishing = true;
+            queue.finish_by = Instant::now().checked_add(self.finish_time_max);
+        }
         self.changed.notify_one();
         let _ = self.stream.set_write_timeout(Some(FINISH_TIME_MAX));
         // The reader ends now. If the peer has hung up, there is nothing to shut.
@@ -111,7 +125,7 @@ impl Connection {
                 records.clear();
                 let sealed = record::write(session, nonce, &[kind], data, &mut records);
                 nonce += 1;
-                if sealed.is_err() || (&self.stream).write_all(&records).is_err() {
+                if sealed.is_err() || self.write_all(&records).is_err() {
                     // The reader says why.
                     return self.end();
                 }
@@ -120,6 +134,22 @@ impl Connection {
                 }
             }
         }
+    }
+
+    /// Writes all of it, unless the connection is to end by now.
+    fn write_all(&self, mut bytes: &[u8]) -> io::Result<()> {
+        while !bytes.is_empty() {
+            if self.queue.lock().finish_by.is_some_and(|by| Instant::now() >= by) {
+                return Err(io::ErrorKind::TimedOut.into());
+            }
+            match (&self.stream).write(bytes) {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(count) => bytes = &bytes[count..],
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
     }
 
     /// The reader's thread: gives frames to `put` until the connection ends or `put` says so. Gives the reason.

@@ -44,7 +44,7 @@ pub struct TcpOptions {
     pub handshakes_max: usize,
     /// How long a connection may take to be made, and a handshake from its first byte to its last.
     pub handshake_time_max: Duration,
-    /// How long a frame may take from its first byte to its last.
+    /// How long a frame may take from its first byte to its last, and all that is queued for a peer when its connection is to end.
     pub frame_time_max: Duration,
 }
 
@@ -192,7 +192,8 @@ impl Shared {
         name: Option<String>,
     ) {
         let session = Arc::new(session);
-        let connection = Arc::new(Connection::new(stream, self.options.queue_bytes_max));
+        let TcpOptions { queue_bytes_max, frame_time_max, .. } = self.options;
+        let connection = Arc::new(Connection::new(stream, queue_bytes_max, frame_time_max));
         {
             // Under the lock, so that a node which is being closed does not miss it.
             let mut connections = self.connections.lock();
@@ -318,5 +319,39 @@ impl Drop for TcpTransport {
 impl std::fmt::Debug for TcpTransport {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("TcpTransport").finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+
+    use super::*;
+
+    #[test]
+    fn a_peer_that_takes_little_at_a_time_does_not_hold_up_the_end() {
+        let key = || SharedKey::from_hex(&"07".repeat(32)).unwrap();
+        let options = TcpOptions { frame_time_max: Duration::from_secs(1), ..TcpOptions::loopback("node") };
+        let node = TcpTransport::open(key(), options).unwrap();
+        let mut stream = TcpStream::connect(node.address().unwrap()).unwrap();
+        let deadline = Instant::now() + Duration::from_secs(5);
+        handshake::connect(&stream, &key(), "slow", deadline).unwrap();
+        let event = node.receive(Duration::from_secs(5)).unwrap();
+        let Some(TransportEvent::Connected { peer, .. }) = event else { panic!("{event:?}") };
+        for _ in 0..15 {
+            node.send(peer, vec![0; FRAME_BYTES_MAX]).unwrap();
+        }
+        let reader = thread::spawn(move || {
+            let mut bytes = vec![0; 64 << 10];
+            // It ends with the connection, whichever way that does.
+            while stream.read(&mut bytes).is_ok_and(|count| count > 0) {
+                thread::sleep(Duration::from_millis(100));
+            }
+        });
+        let start = Instant::now();
+        node.close();
+        let took = start.elapsed();
+        assert!(took < Duration::from_secs(10), "{took:?}");
+        drop(reader);
     }
 }
