@@ -38,12 +38,17 @@ pub(super) fn record(
     let metallic = surface.metallic_factor().clamp(0.0, 1.0);
     let roughness = surface.roughness_factor().clamp(0.0, 1.0);
     let transmission = material.transmission().map_or(0.0, |part| part.transmission_factor().clamp(0.0, 1.0));
+    let stated = material.ior().filter(|&ior| {
+        let is_possible = ior >= 1.0 || ior == 0.0;
+        if !is_possible {
+            let text =
+                format!("materials[{index}]: its ior is {ior}, which must be 0 or at least 1; 1.5 is taken");
+            report.warn_once(opened.path(), None, text);
+        }
+        is_possible
+    });
     // 1.5 is what the specification gives dielectrics.
-    let refractive_index = material.ior().unwrap_or(1.5);
-    if refractive_index < 1.0 && refractive_index != 0.0 {
-        let reason = format!("its ior is {refractive_index}; it must be 0 or at least 1");
-        return Err(opened.error(format!("materials[{index}]"), reason));
-    }
+    let refractive_index = stated.unwrap_or(1.5);
     // 1 where it is 0, as the extension wants it.
     let facing = ((refractive_index - 1.0) / (refractive_index + 1.0)).powi(2);
     let opacity = match material.alpha_mode() {
