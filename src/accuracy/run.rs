@@ -316,7 +316,7 @@ impl Job<'_, '_> {
         let lost = || statistics.iter().map(|pixel| f64::from(pixel.lost));
         // One sample is nothing to go by, but a check goes by others.
         let is_known = match knobs.sampling {
-            Sampling::Fixed { samples } => samples > 1 || known.is_some(),
+            Sampling::Fixed { samples } => samples > 1,
             Sampling::Adaptive { .. } => true,
         };
         let is_known = is_known && is_whole && !statistics.is_empty();
@@ -327,11 +327,11 @@ impl Job<'_, '_> {
         };
         let known = match (&knobs.sampling, known) {
             _ if !is_known => Known::Nothing,
-            (_, Some(known)) => known,
-            // Where samples had no say in stopping, their halves tell.
-            (Sampling::Fixed { .. }, None) => {
+            // What a check says is of samples that stop; of fixed ones the halves tell.
+            (Sampling::Fixed { .. }, _) => {
                 Known::Squares(MeanSquare::of_halves(&pixels, self.confidence()), None)
             }
+            (_, Some(known)) => known,
             (_, None) => self.check(renderer, image, &pixels)?,
         };
         let (estimates, check) = match known {

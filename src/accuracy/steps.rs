@@ -29,12 +29,8 @@ const AIM: f64 = 0.98;
 const STOPPING: f64 = 1.07;
 /// What a certificate says of FLIP over what is expected of it, before one is known: margins for luck.
 const FLIP_MARGIN: f64 = 1.04;
-/// Samples of each pixel that may be enough, or enough to tell where more are needed.
-const FEW_SAMPLES: [u32; 2] = [1, 2];
-/// How much too large the error may be with few samples for more to be added where they are needed most, and not everywhere.
-const FEW_MAX: f64 = 1.4;
-/// The error over that with twice the samples, at most.
-const DOUBLED: f64 = 1.7;
+/// How much too large FLIP may be with single samples for more to be added where they are needed most, and not everywhere.
+const FLIP_SINGLES: f64 = 1.4;
 /// Mean square of what a pixel's deviation is over the threshold at which it stopped, as it falls by `2^-3/4` with each doubling.
 const BELOW_THRESHOLD: f64 = 0.62;
 
@@ -44,8 +40,9 @@ struct Steps<'r, 'a> {
     metric: Metric,
     bound: f64,
     contribution_bound: f64,
-    /// Samples of every pixel at least.
+    /// Samples of every pixel, and whether no pixel has more.
     samples_first: u32,
+    fixed: Option<u32>,
     /// Confidence of pixels' intervals, and how many deviations they span.
     confidence: f64,
     quantile: f64,
@@ -61,8 +58,8 @@ struct Steps<'r, 'a> {
     surprise: f64,
     /// The threshold of the step before.
     deviation: f64,
-    /// Mean square error of few samples over what their deviations say.
-    over_deviations: f64,
+    /// Mean square error of single samples over what their deviations say.
+    singles: f64,
 }
 
 /// What is to be done next.
@@ -131,6 +128,7 @@ impl Job<'_, '_> {
             bound,
             contribution_bound,
             samples_first,
+            fixed: None,
             confidence,
             quantile,
             image: None,
@@ -139,7 +137,7 @@ impl Job<'_, '_> {
             certificate: None,
             expected: 0.0,
             surprise: if metric == Metric::Flip { FLIP_MARGIN } else { 1.0 },
-            over_deviations: 1.0,
+            singles: 1.0,
             deviation: f64::INFINITY,
         };
         let certificate = self.take_steps(&mut steps)?;
@@ -151,6 +149,7 @@ impl Job<'_, '_> {
         if let Some(certificate) = self.few_samples(steps)? {
             return Ok(certificate);
         }
+        self.first_step(steps)?;
         let mut certificates = 0;
         for _ in 0..STEPS_MAX {
             match self.next(steps) {
@@ -183,35 +182,57 @@ impl Job<'_, '_> {
         }
     }
 
-    /// Begins with few samples of each pixel, and with as few as can do. Gives the certificate if they are enough as they are; otherwise
-    /// the picture has its first samples.
+    /// The same few samples everywhere, if they are enough: nothing stops early then. `None` if they are not, or in the greatest
+    /// error of many pixels, which is not known from so few.
     fn few_samples(&mut self, steps: &mut Steps<'_, '_>) -> Result<Option<Certificate>, RenderError> {
-        // The greatest error of many pixels is not known from so few.
-        let few = if steps.metric == Metric::Max { &[] } else { &FEW_SAMPLES[..] };
-        for &samples in few {
-            steps.samples_first = samples;
+        if steps.metric == Metric::Max {
+            return Ok(None);
+        }
+        // In FLIP single samples may be enough. What they are worth is told by a check.
+        if steps.metric == Metric::Flip {
+            steps.samples_first = 1;
             self.first_step(steps)?;
-            if !self.look_at_few(steps)? || matches!(self.next(steps), Next::Certify) {
+            if !self.look_at_singles(steps)? || matches!(self.next(steps), Next::Certify) {
                 let certificate = self.certify(steps)?;
                 if !matches!(certificate.verdict, Verdict::NotMet { .. }) {
                     return Ok(Some(certificate));
                 }
             }
-            let over = steps.expected * steps.surprise / steps.bound;
-            if over < FEW_MAX {
+            if steps.expected * steps.surprise < FLIP_SINGLES * steps.bound {
                 return Ok(None);
             }
-            if over > FEW_MAX * DOUBLED {
+        }
+        for samples in [2, FIRST_SAMPLES] {
+            steps.samples_first = samples;
+            self.step(steps, f64::INFINITY)?;
+            let pixels = steps.pixels();
+            let squares = MeanSquare::of_halves(&pixels, self.confidence());
+            let width = self.settings.width;
+            let expected = match steps.metric {
+                // A certificate takes longer than this.
+                Metric::Flip => flip_expected(&pixels, width, squares),
+                _ => squares.upper.sqrt(),
+            };
+            // Twice the samples will not halve it.
+            if expected > 2.0 * steps.bound {
                 break;
+            }
+            if expected > steps.bound {
+                continue;
+            }
+            steps.fixed = Some(samples);
+            let certificate = self.certify(steps)?;
+            steps.fixed = None;
+            if !matches!(certificate.verdict, Verdict::NotMet { .. }) {
+                return Ok(Some(certificate));
             }
         }
         steps.samples_first = FIRST_SAMPLES;
-        self.first_step(steps)?;
         Ok(None)
     }
 
-    /// Has a check tell how large errors of few samples are over what their deviations say; false if the caller wants no more.
-    fn look_at_few(&mut self, steps: &mut Steps<'_, '_>) -> Result<bool, RenderError> {
+    /// Has a check tell how large errors of single samples are over what their deviations say; false if the caller wants no more.
+    fn look_at_singles(&mut self, steps: &mut Steps<'_, '_>) -> Result<bool, RenderError> {
         let pixels = steps.pixels();
         let Some(image) = steps.image.take() else { return Ok(false) };
         if image.report.outcome == Outcome::Cancelled {
@@ -226,7 +247,7 @@ impl Job<'_, '_> {
         let own =
             pixels.iter().map(|pixel| pixel.deviation.powi(2)).sum::<f64>() / pixels.len().max(1) as f64;
         if own > 0.0 {
-            steps.over_deviations = squares.value / own;
+            steps.singles = squares.value / own;
         }
         Ok(true)
     }
@@ -276,7 +297,7 @@ impl Job<'_, '_> {
 
     /// What the picture as it is stands for.
     fn knobs_of(&self, steps: &Steps<'_, '_>) -> Knobs {
-        let sampling = match steps.fixed() {
+        let sampling = match steps.fixed {
             Some(samples) => Sampling::Fixed { samples },
             None => self.adaptive(steps.samples_first, steps.confidence, steps.deviation * steps.quantile),
         };
@@ -287,10 +308,7 @@ impl Job<'_, '_> {
     fn certify(&mut self, steps: &mut Steps<'_, '_>) -> Result<Certificate, RenderError> {
         let (knobs, pixels) = (self.knobs_of(steps), steps.pixels());
         let Some(image) = &mut steps.image else { return Err(RenderError::Cancelled) };
-        image.report.samples_per_pixel = match &knobs.sampling {
-            Sampling::Fixed { samples } => *samples,
-            Sampling::Adaptive { samples_max, .. } => *samples_max,
-        };
+        image.report.samples_per_pixel = steps.fixed.unwrap_or(self.options.samples_max);
         let evidence = Evidence { renderer: steps.renderer, pixels: Some(pixels), known: steps.known };
         let mut certificate = self.certificate(image, knobs, evidence)?;
         self.looks += 1;
@@ -341,13 +359,10 @@ impl Job<'_, '_> {
             // What pixels really come to may be a little above what is expected of them.
             return Next::GoOn(low.min(0.93 * steps.deviation));
         }
-        // Few samples have halves that say little, or none, and stopping makes those of others too small.
-        let square = |index: usize| {
-            if samples[index] < FIRST_SAMPLES {
-                steps.over_deviations * pixels[index].deviation.powi(2)
-            } else {
-                STOPPING * pixels[index].square()
-            }
+        // Single samples have no halves, and stopping makes those of others too small.
+        let square = |index: usize| match samples[index] {
+            1 => steps.singles * pixels[index].deviation.powi(2),
+            _ => STOPPING * pixels[index].square(),
         };
         let known = || samples.iter().copied().zip(pixels.iter().map(|pixel| pixel.deviation));
         let plan = check::Plan::new(known(), self.pixels_total());
@@ -450,12 +465,6 @@ impl Steps<'_, '_> {
     fn pixels(&mut self) -> Rc<Vec<Sampled>> {
         let known = || self.image.as_ref().map_or_else(Vec::new, |image| sampled(&image.film));
         Rc::clone(self.sampled.get_or_insert_with(|| Rc::new(known())))
-    }
-
-    /// How many samples each pixel has, if all have as many.
-    fn fixed(&self) -> Option<u32> {
-        let samples = self.samples();
-        samples.iter().all(|count| *count == self.samples_first).then_some(self.samples_first)
     }
 
     /// Samples of each pixel.
