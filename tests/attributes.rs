@@ -212,12 +212,13 @@ fn a_model_without_attributes_is_stored_as_before_and_blocks_never_change() {
     let file = |path: &Path, options: &CompileOptions| fs::read(compile(path, options, &budget).0).unwrap();
     let defaults = CompileOptions::default();
     let plain = file(&write("plain.obj", grid(30, false)), &defaults);
-    assert_eq!(plain[16..24], [0; 8]);
-    assert!(plain[180..248].iter().all(|byte| *byte == 0));
+    // It tells how it was compiled, and nothing else beyond the oldest files.
+    assert_eq!(plain[16..24], [8, 0, 0, 0, 0, 0, 0, 0]);
+    assert!(plain[180..232].iter().chain(&plain[233..248]).all(|byte| *byte == 0) && plain[232] == 1);
     let with = write("with.obj", grid(30, true));
     let kept = file(&with, &defaults);
     let left_out = file(&with, &CompileOptions { attributes: false, ..defaults.clone() });
-    assert_eq!(kept[16], 2);
+    assert_eq!(kept[16], 2 | 8);
     // The source's size and fingerprint stand in the header; all else is the same.
     assert_eq!(left_out[HEADER_BYTES..], plain[HEADER_BYTES..]);
     // Values that no face names are not attributes of anything.
