@@ -2,19 +2,24 @@
 //! settings picked by hand (that is, by trying all and knowing the truth), and time goals against the clock.
 //!
 //!     cargo bench --bench accuracy [-- --size 192 --reference 1024] [--scene NAME] [--metric NAME]
+//!     cargo bench --bench accuracy -- --specks 20 [--size 192 --reference 1024]
 //!
+//! `--specks`: instead of all that, what fools certificates: features much smaller than a pixel, in so many pictures with seeds of their own.
 //! `--scene`: only those whose names begin so. `--metric`: only goals in this one (rmse, max, flip), and no time goals.
 //!
 //! With `--test`, as `cargo bench --benches -- --test` runs it, pictures are tiny and only what must hold everywhere is checked.
 
 #[path = "../tests/support/compiled.rs"]
 mod compiled;
+#[path = "../tests/support/numbers.rs"]
+mod numbers;
 
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use compiled::compiled;
+use numbers::Random;
 use outcrop::accuracy::sweep::{Reference, Subject, processor_seconds};
 use outcrop::accuracy::{
     Goal, GoalImage, GoalOptions, Knobs, Metric, Sampling, TileThreshold, Verdict, render_to_goal,
@@ -84,6 +89,58 @@ fn subjects() -> Result<Vec<Subjects>, Failure> {
             Ok(Scene::automatic(bounds, 1.0))
         })?,
     ])
+}
+
+/// Specks of about a third of a pixel, far apart, before an even ground.
+fn specks(width: u32) -> Result<Subjects, Failure> {
+    let radius = 0.184 * EXTENT / f64::from(width);
+    let (mut random, mut all) = (Random(1), Assembly::new());
+    for _ in 0..300 {
+        let place = [(); 2].map(|()| random.signed());
+        all = all.with(Icosphere::new(radius, [0.0; 3], 1)?, 1.0, [place[0], place[1], 0.5]);
+    }
+    subject("specks", &all, |_| {
+        let camera = Camera::pinhole([0.0, 0.0, 3.0], [0.0, 0.0, 0.5], [0.0, 1.0, 0.0], 45.0)?;
+        let sun = Light::directional([0.0, 0.3, -1.0], [0.1; 3]);
+        Ok(Scene::new(camera).with_background([0.8; 3]).with_ambient([0.0; 3]).with_light(sun))
+    })
+}
+
+/// What the picture of the specks is wide, where they are.
+const EXTENT: f64 = 2.0 * 2.5 * 0.414_213_562_373_095;
+
+/// How often certificates are above the error of a picture of specks, and goals are kept.
+fn held(size: u32, samples: u32, seeds: u32) -> Result<(), Failure> {
+    let (found, threads) = (specks(size)?, Threads::Count(2));
+    let settings = RenderSettings::new(size, size);
+    let reference =
+        found.subject(&settings, &threads).reference(samples, 1e-5, &mut |_| Control::Continue)?;
+    println!("| goal | certificate above the error | goal kept | samples per pixel |\n|---|---|---|---|");
+    let goals = [
+        (Metric::Rmse, [0.08, 0.05, 0.03, 0.02, 0.01].as_slice()),
+        (Metric::Flip, &[0.03, 0.01]),
+        (Metric::Max, &[0.1]),
+    ];
+    for (metric, bound) in
+        goals.into_iter().flat_map(|(metric, of)| of.iter().map(move |bound| (metric, *bound)))
+    {
+        let options = GoalOptions::new(Goal::MaxError { metric, bound });
+        let (mut held, mut kept, mut least, mut most) = (0, 0, f64::INFINITY, 0.0f64);
+        for seed in 0..seeds {
+            let settings = RenderSettings { seed: 1000 + u64::from(seed), ..settings };
+            let subject = found.subject(&settings, &threads);
+            let (GoalImage { image, certificate }, _) = to_goal(&subject, &options, Instant::now())?;
+            let error = metric.distance(reference.film.pixels(), image.film.pixels(), size);
+            held += u32::from(certificate.error_bound(metric).is_some_and(|bound| error <= bound));
+            kept += u32::from(error <= bound);
+            (least, most) = (least.min(certificate.samples_mean), most.max(certificate.samples_mean));
+        }
+        println!(
+            "| {} {bound} | {held} of {seeds} | {kept} of {seeds} | {least:.1} to {most:.1} |",
+            metric.name()
+        );
+    }
+    Ok(())
 }
 
 /// What is tried by hand.
@@ -276,6 +333,9 @@ fn run() -> Result<bool, Failure> {
     let (scene, metric) = (text("--scene").unwrap_or(""), text("--metric"));
     let size = number("--size", if is_test { 24 } else { 192 })?;
     let samples = number("--reference", if is_test { 64 } else { 1024 })?;
+    if text("--specks").is_some() {
+        return held(size, samples, number("--specks", 20)?).map(|()| true);
+    }
     let settings = RenderSettings::new(size, size);
     let threads = Threads::Count(2);
     let mut all = subjects()?;
