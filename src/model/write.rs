@@ -177,7 +177,8 @@ impl ModelWriter {
         Ok(BlockId(id))
     }
 
-    /// Completes the file. If `materials` is empty, the default material is written.
+    /// Completes the file. If `materials` is empty, the default material is written. `compiled`: what the file tells of its compile, if
+    /// anything.
     ///
     /// # Errors
     /// [`ModelError::Limit`] if there is no block, there are too many materials, a name is too long, or a block uses a
