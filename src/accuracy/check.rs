@@ -7,6 +7,7 @@
 //! deviation that is wrong is found out.
 
 use super::estimate::{MeanSquare, Sampled};
+use super::unseen::Unseen;
 use crate::render::PixelStatistics;
 use crate::render::mix;
 use crate::render::resample::SampledPixel;
@@ -75,12 +76,13 @@ fn weight(samples: u32, deviation: f64) -> f64 {
 ///
 /// The expected square difference is the sum of both square errors. They are equal on average where the pixel's samples differ as
 /// such samples do. Where they hardly differ it may be wrong without a sign of it, and then its own error is the greater one: if
-/// all of `n` samples lie on one side, the share `p` of the other is distributed as Beta(1, n + 1) by Laplace's rule, the square error of
-/// the pixel is `E[p^2]`, and that of the further samples `E[p (1 - p)] / n`: `(n + 1) / 2 n` of it.
+/// all of `n` samples lie on one side, the share `p` of the other is about `1 / n`, and so is the error of the pixel. That of the further
+/// samples is known to have a square of `p / n`, and of `p n^-3/2` where the share is that on one side of an edge, as they are stratified:
+/// `n^-1/2` of the pixel's.
 pub(super) fn own_part(pixel: &Sampled, samples: u32) -> f64 {
     let most = pixel.half_difference.iter().fold(0.0f32, |most, x| most.max(x.abs()));
     let n = f64::from(samples);
-    if f64::from(most) < 0.25 * pixel.deviation { 2.0 * n / (3.0 * n + 1.0) } else { 0.5 }
+    if f64::from(most) < 0.25 * pixel.deviation { 1.0 / (1.0 + n.sqrt().recip()) } else { 0.5 }
 }
 
 /// A pixel that was drawn.
@@ -92,6 +94,8 @@ pub(super) struct Drawn {
     pub chance: f64,
     /// Samples that it has.
     pub samples: u32,
+    /// How far it stood out after its first samples.
+    pub stands_out: f32,
 }
 
 /// The pixels that are drawn of those of a film for its `look`th check, and where they are. A pure function of film, seed and look.
@@ -114,7 +118,9 @@ pub(super) fn draw(
             let luck = (key >> 11) as f64 / (1u64 << 53) as f64;
             // Films have fewer than 2^32 pixels.
             let (x, y) = (index as u32 % width, index as u32 / width);
-            (luck < chance).then_some((Drawn { index, chance, samples }, SampledPixel { x, y, samples }))
+            let stands_out = statistics[index].stands_out;
+            let drawn = Drawn { index, chance, samples, stands_out };
+            (luck < chance).then_some((drawn, SampledPixel { x, y, samples }))
         })
         .unzip()
 }
@@ -124,18 +130,20 @@ pub(super) fn mean_square(
     pixels: &[Sampled],
     drawn: &[Drawn],
     again: impl Iterator<Item = [f64; 3]>,
+    unseen: &Unseen,
     confidence: f64,
 ) -> MeanSquare {
-    let squares: Vec<f64> = drawn
-        .iter()
-        .zip(again)
-        .map(|(Drawn { index, chance, samples }, again)| {
-            let pixel = &pixels[*index];
-            let square = |channel: usize| (f64::from(pixel.mean[channel]) - again[channel]).powi(2);
-            own_part(pixel, *samples) * (0..3).map(square).sum::<f64>() / 3.0 / chance
-        })
-        .collect();
-    MeanSquare::of_draws(&squares, pixels.len() as u64, confidence)
+    let squares = drawn.iter().zip(again).map(|(drawn, again)| {
+        let Drawn { index, chance, samples, .. } = drawn;
+        let pixel = &pixels[*index];
+        let square = |channel: usize| (f64::from(pixel.mean[channel]) - again[channel]).powi(2);
+        let difference = (0..3).map(square).sum::<f64>() / 3.0;
+        if unseen.explains(drawn, pixel, difference) {
+            return 0.0;
+        }
+        own_part(pixel, *samples) * difference / chance
+    });
+    MeanSquare::of_draws(squares, pixels.len() as u64, confidence)
 }
 
 #[cfg(test)]
@@ -211,12 +219,12 @@ mod tests {
             for (index, &(count, deviation, again)) in known.iter().enumerate() {
                 let chance = plan.chance(count, deviation);
                 if luck() < chance {
-                    drawn.push(Drawn { index, chance, samples: count });
+                    drawn.push(Drawn { index, chance, samples: count, stands_out: 0.0 });
                     further.push([again; 3]);
                 }
             }
             let truth = truths.iter().sum::<f64>() / PIXELS as f64;
-            let found = mean_square(&sampled, &drawn, further.into_iter(), 0.9);
+            let found = mean_square(&sampled, &drawn, further.into_iter(), &Unseen::default(), 0.9);
             held += u32::from(truth <= found.upper);
             held_by_halves += u32::from(truth <= MeanSquare::of_halves(&sampled, 0.9).upper);
             above += (found.upper / truth).sqrt() / f64::from(RUNS);

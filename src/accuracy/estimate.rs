@@ -12,6 +12,7 @@ use super::Metric;
 use super::flip::{Seen, error_map_bound};
 use super::greatest::Deviations;
 use super::metric::mean;
+use super::unseen::Unseen;
 use crate::render::{mix, normal_quantile, student_widening};
 
 /// An estimated error.
@@ -71,8 +72,8 @@ impl MeanSquare {
     ///
     /// The variance of the difference between their sum and the sum of all square errors is at most the sum of their squares if both
     /// means of a pixel are equally distributed.
-    pub fn of_draws(squares: &[f64], pixels_total: u64, confidence: f64) -> MeanSquare {
-        MeanSquare::of_sums(squares.iter().copied(), 1.0, pixels_total, confidence)
+    pub fn of_draws(squares: impl Iterator<Item = f64>, pixels_total: u64, confidence: f64) -> MeanSquare {
+        MeanSquare::of_sums(squares, 1.0, pixels_total, confidence)
     }
 
     fn of_sums(
@@ -90,6 +91,11 @@ impl MeanSquare {
         let count = pixels_total.max(1) as f64;
         let upper = sum + margin(variance * squares, cubes, normal_quantile(confidence));
         MeanSquare { value: sum / count, upper: upper / count }
+    }
+
+    /// With another one beside it.
+    pub fn plus(self, other: MeanSquare) -> MeanSquare {
+        MeanSquare { value: self.value + other.value, upper: self.upper + other.upper }
     }
 
     /// From what square errors of pixels are thought to be, and the chances that they would have in a check: what is to be expected
@@ -126,25 +132,30 @@ fn margin(squares: f64, cubes: f64, quantile: f64) -> f64 {
 /// Side of the blocks of pixels whose means are taken as independent: well above the reach of FLIP's filters.
 const BLOCK_SIDE: usize = 16;
 
-/// Estimates an error from `pixels`, rows of `width`, which stand for a picture of `pixels_total` pixels.
+/// Estimates an error from `pixels`, rows of `width`, which stand for a picture of `pixels_total` pixels. What pixels have missed is
+/// not in `squares`.
 pub(super) fn estimate(
     metric: Metric,
     pixels: &[Sampled],
     width: u32,
     squares: MeanSquare,
+    unseen: &Unseen,
     pixels_total: u64,
     confidence: f64,
 ) -> Estimate {
     let (value, upper) = match metric {
-        Metric::Rmse => (squares.value.sqrt(), squares.upper.sqrt()),
+        Metric::Rmse => {
+            let squares = squares.plus(unseen.squares(pixels_total, confidence));
+            (squares.value.sqrt(), squares.upper.sqrt())
+        }
         Metric::Max => {
             let halves = pixels.iter().flat_map(|pixel| pixel.half_difference);
             let value = halves.fold(0.0, |most: f64, x| most.max(f64::from(x.abs())));
             let share = pixels_total as f64 / pixels.len().max(1) as f64;
             let deviations = Deviations::new(pixels.iter().map(|pixel| pixel.deviation));
-            (value, deviations.limit(1.0 - confidence, share, f64::INFINITY))
+            (value, deviations.limit(1.0 - confidence, share, f64::INFINITY, unseen))
         }
-        Metric::Flip => flip(pixels, width as usize, squares, pixels_total, confidence),
+        Metric::Flip => flip(pixels, width as usize, squares, unseen, pixels_total, confidence),
     };
     let cut = cut_off(metric, pixels.iter().map(|pixel| pixel.lost)).unwrap_or(0.0);
     Estimate { metric, value, upper, whole: together(metric, upper, cut, pixels, pixels_total) }
@@ -159,17 +170,21 @@ fn flip(
     pixels: &[Sampled],
     width: usize,
     squares: MeanSquare,
+    unseen: &Unseen,
     pixels_total: u64,
     confidence: f64,
 ) -> (f64, f64) {
     let quantile = normal_quantile(confidence);
     let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
     let picture = Seen::of(&means, width);
-    drop(means);
     // With noise as large as it may be; twice, with signs that are independent: maps that differ as that of the error will differ
     // from them.
-    let maps = [Signs::Kept, Signs::Drawn]
-        .map(|signs| error_map_bound(&Seen::of(&noisy(pixels, squares.upper, signs), width), &picture));
+    let maps = [Signs::Kept, Signs::Drawn].map(|signs| {
+        let mut noisy = noisy(pixels, squares.upper, signs);
+        unseen.put_met(&mut noisy, &means);
+        unseen.put_missed(&mut noisy, confidence, u64::from(signs == Signs::Drawn));
+        error_map_bound(&Seen::of(&noisy, width), &picture)
+    });
     let most = 0.5 * (mean(&maps[0]) + mean(&maps[1]));
     let differences: Vec<f64> = maps[0].iter().zip(&maps[1]).map(|(a, b)| a - b).collect();
     let blocks = block_sums(&differences, width);
@@ -189,11 +204,27 @@ fn flip(
 pub(super) const FLIP_POWER: f64 = 0.8;
 
 /// What [`estimate`] of FLIP is about, at a third of the work: noise of the size that is held, once, and no margin for its luck.
-pub(super) fn flip_expected(pixels: &[Sampled], width: u32, squares: MeanSquare) -> f64 {
+pub(super) fn flip_expected(
+    pixels: &[Sampled],
+    width: u32,
+    squares: MeanSquare,
+    unseen: &Unseen,
+    confidence: f64,
+) -> f64 {
     let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
     let picture = Seen::of(&means, width as usize);
-    let noisy = Seen::of(&noisy(pixels, squares.upper, Signs::Kept), width as usize);
-    mean(&error_map_bound(&noisy, &picture))
+    let mut noisy = noisy(pixels, squares.upper, Signs::Kept);
+    unseen.put_met(&mut noisy, &means);
+    unseen.put_missed(&mut noisy, confidence, 0);
+    mean(&error_map_bound(&Seen::of(&noisy, width as usize), &picture))
+}
+
+/// What FLIP makes of what pixels have missed, alone.
+pub(super) fn unseen_flip(picture: &[[f32; 3]], width: u32, unseen: &Unseen, confidence: f64) -> f64 {
+    let mut whole = picture.to_vec();
+    unseen.put_missed(&mut whole, confidence, 0);
+    let [picture, whole] = [picture, &whole].map(|pixels| Seen::of(pixels, width as usize));
+    mean(&error_map_bound(&whole, &picture))
 }
 
 /// Which sign noise has.
@@ -340,7 +371,7 @@ mod tests {
             let squares = MeanSquare::of_halves(&sampled, 0.9);
             for (index, metric) in Metric::ALL.into_iter().enumerate() {
                 let total = u64::from(SIDE * SIDE);
-                let estimate = estimate(metric, &sampled, SIDE, squares, total, 0.9);
+                let estimate = estimate(metric, &sampled, SIDE, squares, &Unseen::default(), total, 0.9);
                 let error = metric.distance(&truths, &found, SIDE);
                 held[index] += u32::from(error <= estimate.upper);
                 ratios[index].push(estimate.upper / error);

@@ -10,6 +10,8 @@ const LEAST: f64 = 1.0 / 16.0;
 /// Channels, and sides on which each may be off.
 const SIDES: f64 = 6.0;
 
+use super::unseen::Unseen;
+
 /// How many pixels have which deviation.
 pub(super) struct Deviations {
     /// Of each step below the greatest, from it down.
@@ -31,9 +33,9 @@ impl Deviations {
     }
 
     /// A limit that no error is above but with the probability `chance`, if each of these pixels stands for `share` of those of the
-    /// picture, and none has a deviation above `most`. With `most` far below the greatest it is too low, as small deviations were
+    /// picture, and none has a deviation above `most`, nor has it missed what is `unseen`. With `most` far below the greatest it is too low, as small deviations were
     /// left out: good for aiming only.
-    pub fn limit(&self, chance: f64, share: f64, most: f64) -> f64 {
+    pub fn limit(&self, chance: f64, share: f64, most: f64, unseen: &Unseen) -> f64 {
         if self.greatest == 0.0 || self.greatest.is_infinite() {
             return self.greatest;
         }
@@ -44,10 +46,10 @@ impl Deviations {
                 count * 0.5 * libm::erfc(over * std::f64::consts::FRAC_1_SQRT_2)
             };
             let counted = self.counts.iter().enumerate().filter(|(_, count)| **count > 0.0);
-            SIDES * share * counted.map(of).sum::<f64>()
+            SIDES * share * counted.map(of).sum::<f64>() + unseen.missed_above(limit)
         };
         // From none to 40 deviations, beyond which there is nothing.
-        let (mut low, mut high) = (0.0, 40.0 * deviation(0));
+        let (mut low, mut high) = (0.0, (40.0 * deviation(0)).max(unseen.greatest()));
         for _ in 0..24 {
             let middle = 0.5 * (low + high);
             if above(middle) > chance { low = middle } else { high = middle }
@@ -65,15 +67,33 @@ mod tests {
     #[test]
     fn equal_deviations_have_the_quantile_of_each_shared_among_them() {
         for (count, chance) in [(1usize, 0.05), (1000, 0.05), (4000, 0.01)] {
-            let found = Deviations::new(std::iter::repeat_n(0.02, count)).limit(chance, 1.0, f64::INFINITY);
+            let found = Deviations::new(std::iter::repeat_n(0.02, count)).limit(
+                chance,
+                1.0,
+                f64::INFINITY,
+                &Unseen::default(),
+            );
             let expected = 0.02 * normal_quantile(1.0 - chance / (SIDES * count as f64));
             assert!((found / expected - 1.0).abs() < 1e-4, "{found}, not {expected}");
             // A part stands for all.
-            let part = Deviations::new(std::iter::repeat_n(0.02, count)).limit(chance, 2.0, f64::INFINITY);
-            let all = Deviations::new(std::iter::repeat_n(0.02, 2 * count)).limit(chance, 1.0, f64::INFINITY);
+            let part = Deviations::new(std::iter::repeat_n(0.02, count)).limit(
+                chance,
+                2.0,
+                f64::INFINITY,
+                &Unseen::default(),
+            );
+            let all = Deviations::new(std::iter::repeat_n(0.02, 2 * count)).limit(
+                chance,
+                1.0,
+                f64::INFINITY,
+                &Unseen::default(),
+            );
             assert!((part / all - 1.0).abs() < 1e-6 && part > found);
         }
-        assert_eq!(Deviations::new([0.0; 3].into_iter()).limit(0.05, 1.0, f64::INFINITY), 0.0);
+        assert_eq!(
+            Deviations::new([0.0; 3].into_iter()).limit(0.05, 1.0, f64::INFINITY, &Unseen::default()),
+            0.0
+        );
     }
 
     /// A few pixels that are wide and many that are not: of 400 pictures as many are above the limit as is said, or fewer.
@@ -82,8 +102,10 @@ mod tests {
         let deviation =
             |pixel: u32| if pixel.is_multiple_of(50) { 0.03 } else { 0.001 * f64::from(1 + pixel % 20) };
         let deviations = Deviations::new((0..3000).map(deviation));
-        let (limit, plain) =
-            (deviations.limit(0.1, 1.0, f64::INFINITY), 0.03 * normal_quantile(1.0 - 0.1 / (SIDES * 3000.0)));
+        let (limit, plain) = (
+            deviations.limit(0.1, 1.0, f64::INFINITY, &Unseen::default()),
+            0.03 * normal_quantile(1.0 - 0.1 / (SIDES * 3000.0)),
+        );
         assert!(limit < 0.85 * plain, "{limit} instead of {plain}");
         let mut random = Random::new(5);
         let mut normal = move || {

@@ -22,6 +22,7 @@ mod run;
 mod steps;
 pub mod sweep;
 mod time;
+mod unseen;
 
 pub use certificate::{Certificate, CutOffBounds, GeometryBounds, GoalCounters, GoalSeconds, Verdict};
 pub use check::SamplingCheck;

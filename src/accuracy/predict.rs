@@ -3,6 +3,7 @@
 //! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
 
 use super::estimate::{Estimate, MeanSquare, Sampled, estimate, mean_square};
+use super::unseen::Unseen;
 use super::{Metric, check};
 use crate::render::probe::{Level, ProbedCell, ProbedPixel};
 
@@ -47,7 +48,9 @@ impl Prediction<'_> {
         });
         let probed: Vec<(f64, f64)> = squares.zip(chances).collect();
         let squares = MeanSquare::expected(&probed, self.pixels_total, self.confidence);
-        estimate(metric, &pixels, self.width() as u32, squares, self.pixels_total, self.confidence)
+        // What pixels may have missed is known of the whole picture only.
+        let unseen = Unseen::default();
+        estimate(metric, &pixels, self.width() as u32, squares, &unseen, self.pixels_total, self.confidence)
     }
 
     /// All pixels as they are at a threshold.

@@ -8,6 +8,7 @@ use super::check::{self, SamplingCheck};
 use super::estimate::{MeanSquare, Sampled, cut_off, estimate};
 use super::job::{FIRST_SAMPLES, GoalProgressFn, Job, PIXEL_CONFIDENCE, PROBE_PIXELS, ask};
 use super::time::{self, Steering};
+use super::unseen::{self, Unseen};
 use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling};
 use crate::LazyOctree;
 use crate::budget::MemoryBudget;
@@ -158,12 +159,14 @@ pub(super) struct Evidence<'e, 'r> {
     pub pixels: Option<Rc<Vec<Sampled>>>,
     /// What a check has said of the picture.
     pub known: Option<Known>,
+    /// What pixels may have missed by their first samples, if that is known.
+    pub unseen: Option<Rc<Unseen>>,
 }
 
 impl<'e, 'r> Evidence<'e, 'r> {
     /// No more than the picture itself.
     fn of(renderer: &'e Renderer<'r>) -> Evidence<'e, 'r> {
-        Evidence { renderer, pixels: None, known: None }
+        Evidence { renderer, pixels: None, known: None, unseen: None }
     }
 }
 
@@ -307,7 +310,7 @@ impl Job<'_, '_> {
         &mut self,
         image: &RenderedImage,
         knobs: Knobs,
-        Evidence { renderer, pixels, known }: Evidence<'_, '_>,
+        Evidence { renderer, pixels, known, unseen }: Evidence<'_, '_>,
     ) -> Result<Certificate, RenderError> {
         let begun = Instant::now();
         let is_whole = image.report.outcome == Outcome::Complete;
@@ -325,14 +328,22 @@ impl Job<'_, '_> {
             None if is_known => Rc::new(sampled(&image.film)),
             None => Rc::default(),
         };
+        let unseen = match unseen {
+            None if is_known => self.look_closer(renderer, image, &pixels, &knobs.sampling)?,
+            found => found,
+        };
+        let missed = unseen.as_ref().map_or_else(Unseen::default, |unseen| {
+            unseen.at_each(deviations(&knobs, &self.settings, image.film.width()))
+        });
         let known = match (&knobs.sampling, known) {
             _ if !is_known => Known::Nothing,
+            _ if unseen.is_none() => Known::Cancelled,
             // What a check says is of samples that stop; of fixed ones the halves tell.
             (Sampling::Fixed { .. }, _) => {
                 Known::Squares(MeanSquare::of_halves(&pixels, self.confidence()), None)
             }
             (_, Some(known)) => known,
-            (_, None) => self.check(renderer, image, &pixels)?,
+            (_, None) => self.check(renderer, image, &pixels, &missed)?,
         };
         let (estimates, check) = match known {
             Known::Squares(squares, check) => {
@@ -344,8 +355,13 @@ impl Job<'_, '_> {
                 let few = least < FIRST_SAMPLES;
                 let is_told = |metric: &Metric| self.is_asked(*metric) && !(few && *metric == Metric::Max);
                 let asked = Metric::ALL.into_iter().filter(is_told);
-                let estimates =
-                    asked.map(|metric| estimate(metric, &pixels, width, squares, total, confidence));
+                let halves_hold = matches!(knobs.sampling, Sampling::Fixed { .. });
+                let nothing = Unseen::default();
+                let estimates = asked.map(|metric| {
+                    // Half differences of all samples hold what single pixels have missed, over all.
+                    let missed = if halves_hold && metric == Metric::Rmse { &nothing } else { &missed };
+                    estimate(metric, &pixels, width, squares, missed, total, confidence)
+                });
                 (estimates.collect(), check)
             }
             Known::Nothing | Known::Cancelled => (Vec::new(), None),
@@ -395,6 +411,7 @@ impl Job<'_, '_> {
         renderer: &Renderer<'_>,
         image: &RenderedImage,
         pixels: &[Sampled],
+        missed: &Unseen,
     ) -> Result<Known, RenderError> {
         let confidence = self.confidence();
         let halves = MeanSquare::of_halves(pixels, confidence);
@@ -410,7 +427,7 @@ impl Job<'_, '_> {
         self.counters.effects.merge(&again.effects);
         self.counters.trace.merge(&again.trace);
         let further = again.means.iter().map(|mean| mean.to_array());
-        let squares = check::mean_square(pixels, &drawn, further, confidence);
+        let squares = check::mean_square(pixels, &drawn, further, missed, confidence);
         let is_same = squares.value == halves.value;
         // Infinite where single samples have no halves.
         let bias = if is_same { 1.0 } else { (squares.value / halves.value).sqrt() };
@@ -418,6 +435,63 @@ impl Job<'_, '_> {
         let check = SamplingCheck { pixels: places.len() as u32, samples, bias };
         Ok(Known::Squares(squares, Some(check)))
     }
+
+    /// What pixels have missed by their first samples, from further samples of those that stand out; `None` if the caller did not want to
+    /// wait.
+    pub(super) fn look_closer(
+        &mut self,
+        renderer: &Renderer<'_>,
+        image: &RenderedImage,
+        pixels: &[Sampled],
+        sampling: &Sampling,
+    ) -> Result<Option<Rc<Unseen>>, RenderError> {
+        let width = image.film.width();
+        let (candidates, places, samples) = match sampling {
+            Sampling::Fixed { samples } => {
+                let (found, places) =
+                    unseen::candidates(unseen::around(pixels, width, *samples).into_iter(), width, *samples);
+                (found, places, *samples)
+            }
+            Sampling::Adaptive { samples_min, .. } => {
+                let statistics = image.film.statistics().unwrap_or_default();
+                let around = statistics.iter().map(|pixel| [pixel.stands_out, pixel.surround]);
+                let (found, places) = unseen::candidates(around, width, *samples_min);
+                (found, places, *samples_min)
+            }
+        };
+        let (attempt, told) = (self.counters.attempts, &mut *self.progress);
+        let progress = whole(image);
+        let mut stop = || told(GoalProgress { attempt, progress });
+        let Some(again) = renderer.resample(&places, self.threads, &mut stop)? else { return Ok(None) };
+        self.counters.effects.merge(&again.effects);
+        self.counters.trace.merge(&again.trace);
+        let further =
+            again.means.iter().map(|mean| mean.to_array()).zip(places.iter().map(|pixel| &pixel.samples));
+        Ok(Some(Rc::new(Unseen::of(pixels, width, samples, &candidates, further))))
+    }
+}
+
+/// The deviation at which each pixel stops, by the tile that it lies in; any will do where samples are fixed.
+fn deviations(knobs: &Knobs, settings: &RenderSettings, width: u32) -> impl Fn(usize) -> f64 {
+    let settings = knobs.settings(settings);
+    let grid = settings.grid();
+    let (quantile, thresholds) = match (&knobs.sampling, settings.adaptive) {
+        (Sampling::Adaptive { thresholds, .. }, Some(adaptive)) => {
+            (adaptive.quantile(), thresholds.as_slice())
+        }
+        _ => (1.0, [].as_slice()),
+    };
+    let mut deviations = vec![f64::INFINITY; grid.tile_count()];
+    let mut next = thresholds.iter().peekable();
+    let mut deviation = f64::INFINITY;
+    for (tile, cell) in (0..).zip(grid.hilbert_order()) {
+        while let Some(threshold) = next.next_if(|threshold| threshold.first_tile <= TileId(tile)) {
+            deviation = threshold.error / quantile;
+        }
+        deviations[cell as usize] = deviation;
+    }
+    // Films have fewer than 2^32 pixels.
+    move |index| deviations[grid.cell_at(index as u32 % width, index as u32 / width) as usize]
 }
 
 /// What is known of each pixel of a film with statistics.

@@ -10,10 +10,12 @@ use super::check;
 use super::choose::cut_off_share;
 use super::estimate::{
     FLIP_POWER, MeanSquare, Sampled, cut_off, estimate, flip_expected, max_quantile, sampling_room,
+    unseen_flip,
 };
 use super::greatest::Deviations;
 use super::job::{FIRST_SAMPLES, Job, PIXEL_CONFIDENCE};
 use super::run::{Evidence, GoalImage, Known, sampled};
+use super::unseen::Unseen;
 use super::{Certificate, GoalProgress, Knobs, Metric, Sampling, Verdict};
 use crate::error::RenderError;
 use crate::render::{Outcome, Progress, RenderedImage, Renderer, normal_quantile};
@@ -50,6 +52,8 @@ struct Steps<'r, 'a> {
     image: Option<RenderedImage>,
     /// What is known of its pixels, once somebody has asked.
     sampled: Option<Rc<Vec<Sampled>>>,
+    /// What pixels may have missed by their first samples.
+    unseen: Rc<Unseen>,
     /// What a check of it as it is now has said, and a certificate.
     known: Option<Known>,
     certificate: Option<Certificate>,
@@ -133,6 +137,7 @@ impl Job<'_, '_> {
             quantile,
             image: None,
             sampled: None,
+            unseen: Rc::default(),
             known: None,
             certificate: None,
             expected: 0.0,
@@ -149,10 +154,11 @@ impl Job<'_, '_> {
         if let Some(certificate) = self.few_samples(steps)? {
             return Ok(certificate);
         }
-        self.first_step(steps)?;
+        self.first_steps(steps)?;
         let mut certificates = 0;
         for _ in 0..STEPS_MAX {
-            match self.next(steps) {
+            let unseen = Rc::clone(&steps.unseen);
+            match self.next(steps, &unseen) {
                 Next::GoOn(deviation) => {
                     steps.deviation = deviation;
                     self.step(steps, deviation)?;
@@ -191,26 +197,32 @@ impl Job<'_, '_> {
         // In FLIP single samples may be enough. What they are worth is told by a check.
         if steps.metric == Metric::Flip {
             steps.samples_first = 1;
-            self.first_step(steps)?;
-            if !self.look_at_singles(steps)? || matches!(self.next(steps), Next::Certify) {
+            let is_whole = self.first_step(steps)? && self.look_at_singles(steps)?;
+            let unseen = Rc::clone(&steps.unseen);
+            if !is_whole || matches!(self.next(steps, &unseen), Next::Certify) {
                 let certificate = self.certify(steps)?;
                 if !matches!(certificate.verdict, Verdict::NotMet { .. }) {
                     return Ok(Some(certificate));
                 }
             }
-            if steps.expected * steps.surprise < FLIP_SINGLES * steps.bound {
+            if steps.expected * steps.surprise < FLIP_SINGLES * steps.bound && self.fits(steps, &steps.unseen)
+            {
                 return Ok(None);
             }
         }
         for samples in [2, FIRST_SAMPLES] {
             steps.samples_first = samples;
-            self.step(steps, f64::INFINITY)?;
+            if steps.metric == Metric::Flip {
+                self.first_step(steps)?;
+            } else {
+                self.step(steps, f64::INFINITY)?;
+            }
             let pixels = steps.pixels();
             let squares = MeanSquare::of_halves(&pixels, self.confidence());
             let width = self.settings.width;
             let expected = match steps.metric {
                 // A certificate takes longer than this.
-                Metric::Flip => flip_expected(&pixels, width, squares),
+                Metric::Flip => flip_expected(&pixels, width, squares, &steps.unseen, self.confidence()),
                 _ => squares.upper.sqrt(),
             };
             // Twice the samples will not halve it.
@@ -240,7 +252,7 @@ impl Job<'_, '_> {
             return Ok(false);
         }
         let begun = Instant::now();
-        let known = self.check(steps.renderer, &image, &pixels)?;
+        let known = self.check(steps.renderer, &image, &pixels, &steps.unseen.at(steps.deviation))?;
         (steps.image, steps.known) = (Some(image), Some(known));
         self.seconds.checking += begun.elapsed().as_secs_f64();
         let Known::Squares(squares, _) = known else { return Ok(false) };
@@ -252,16 +264,62 @@ impl Job<'_, '_> {
         Ok(true)
     }
 
-    /// Goes on until every pixel has its first samples, and looks at what is known of each beside its neighbours.
-    fn first_step(&mut self, steps: &mut Steps<'_, '_>) -> Result<(), RenderError> {
+    /// Goes on until every pixel has first samples, as many as leave little of what pixels miss.
+    fn first_steps(&mut self, steps: &mut Steps<'_, '_>) -> Result<(), RenderError> {
+        while self.first_step(steps)? {
+            let deviation = match self.next(steps, &Unseen::default()) {
+                Next::GoOn(deviation) => deviation,
+                Next::Certify | Next::End => steps.deviation,
+            };
+            let unseen = steps.unseen.at(deviation);
+            let most = self.options.samples_max / steps.samples_first;
+            let times = std::iter::successors(Some(1u32), |times| times.checked_mul(2))
+                .take_while(|times| *times <= most)
+                .find(|times| self.fits(steps, &unseen.with_times(*times)));
+            let Some(times) = times.filter(|times| *times > 1) else { break };
+            steps.samples_first *= times;
+        }
+        Ok(())
+    }
+
+    /// Whether what pixels have missed leaves enough of the goal for the rest.
+    fn fits(&self, steps: &Steps<'_, '_>, unseen: &Unseen) -> bool {
+        let (bound, confidence) = (AIM * steps.bound, self.confidence());
+        if unseen.is_empty() {
+            return true;
+        }
+        match steps.metric {
+            Metric::Rmse => unseen.squares(self.pixels_total(), confidence).upper <= 0.5 * bound * bound,
+            Metric::Max => unseen.missed_above(0.9 * bound) <= 0.5 * (1.0 - confidence),
+            Metric::Flip => steps.image.as_ref().is_none_or(|image| {
+                unseen_flip(image.film.pixels(), image.film.width(), unseen, confidence) <= 0.5 * bound
+            }),
+        }
+    }
+
+    /// Goes on until every pixel has its first samples, looks at what is known of each beside its neighbours, and closer at those that
+    /// stand out. False if the caller wants no more.
+    fn first_step(&mut self, steps: &mut Steps<'_, '_>) -> Result<bool, RenderError> {
         self.step(steps, f64::INFINITY)?;
+        steps.unseen = Rc::default();
         let is_cancelled = steps.is_cancelled();
         if let Some(image) = steps.image.as_mut().filter(|_| !is_cancelled) {
             steps.renderer.look_around(&mut image.film);
             steps.sampled = None;
         }
         steps.open_none();
-        Ok(())
+        let pixels = steps.pixels();
+        let Some(image) = steps.image.as_ref().filter(|_| !is_cancelled) else { return Ok(false) };
+        let begun = Instant::now();
+        let sampling = self.adaptive(steps.samples_first, steps.confidence, 0.0);
+        let unseen = self.look_closer(steps.renderer, image, &pixels, &sampling)?;
+        self.seconds.checking += begun.elapsed().as_secs_f64();
+        let Some(unseen) = unseen else {
+            steps.known = Some(Known::Cancelled);
+            return Ok(false);
+        };
+        steps.unseen = unseen;
+        Ok(true)
     }
 
     /// Goes on until every pixel has its first samples and none that can go on has a greater deviation.
@@ -309,7 +367,10 @@ impl Job<'_, '_> {
         let (knobs, pixels) = (self.knobs_of(steps), steps.pixels());
         let Some(image) = &mut steps.image else { return Err(RenderError::Cancelled) };
         image.report.samples_per_pixel = steps.fixed.unwrap_or(self.options.samples_max);
-        let evidence = Evidence { renderer: steps.renderer, pixels: Some(pixels), known: steps.known };
+        let unseen =
+            (steps.metric == Metric::Flip || steps.fixed.is_none()).then(|| Rc::clone(&steps.unseen));
+        let evidence =
+            Evidence { renderer: steps.renderer, pixels: Some(pixels), known: steps.known, unseen };
         let mut certificate = self.certificate(image, knobs, evidence)?;
         self.looks += 1;
         if certificate.verdict != Verdict::Cancelled {
@@ -325,7 +386,7 @@ impl Job<'_, '_> {
     }
 
     /// What is to be done next, by what is known of each pixel.
-    fn next(&self, steps: &mut Steps<'_, '_>) -> Next {
+    fn next(&self, steps: &mut Steps<'_, '_>, unseen: &Unseen) -> Next {
         let (metric, aim) = (steps.metric, AIM * steps.bound / steps.surprise);
         let pixels = steps.pixels();
         let samples_max = self.options.samples_max;
@@ -333,13 +394,15 @@ impl Job<'_, '_> {
         let can_go_on = |index: usize| samples[index] < samples_max && pixels[index].deviation > 0.0;
         let cut = cut_off(metric, pixels.iter().map(|pixel| pixel.lost)).unwrap_or(0.0);
         let room = sampling_room(metric, aim, cut);
+        let missed = unseen.at(steps.deviation);
         let widest = (0..pixels.len())
             .filter(|&index| can_go_on(index))
             .fold(0.0f64, |most, index| most.max(pixels[index].deviation));
         if metric == Metric::Max {
             let deviations = Deviations::new(pixels.iter().map(|pixel| pixel.deviation));
-            let limit = |most: f64| deviations.limit(1.0 - self.confidence(), 1.0, most);
-            let found = limit(f64::INFINITY);
+            let chance = 1.0 - self.confidence();
+            let limit = |most: f64, missed: &Unseen| deviations.limit(chance, 1.0, most, missed);
+            let found = limit(f64::INFINITY, &missed);
             steps.expected = found + cut;
             if found <= room {
                 return Next::Certify;
@@ -347,14 +410,15 @@ impl Job<'_, '_> {
             // Those that have all the samples they may stay as they are.
             let exhausted = (0..pixels.len()).filter(|&index| !can_go_on(index));
             let exhausted = Deviations::new(exhausted.map(|index| pixels[index].deviation));
-            let least = exhausted.limit(1.0 - self.confidence(), 1.0, f64::INFINITY);
+            let least = exhausted.limit(chance, 1.0, f64::INFINITY, &Unseen::default());
             if widest == 0.0 || least > room {
                 return Next::End;
             }
             let (mut high, mut low) = (widest, widest * 1e-9);
             for _ in 0..24 {
                 let middle = (high * low).sqrt();
-                if limit(BELOW_THRESHOLD.sqrt() * middle) > room { high = middle } else { low = middle }
+                let reached = limit(BELOW_THRESHOLD.sqrt() * middle, &unseen.at(middle));
+                if reached > room { high = middle } else { low = middle }
             }
             // What pixels really come to may be a little above what is expected of them.
             return Next::GoOn(low.min(0.93 * steps.deviation));
@@ -370,10 +434,11 @@ impl Job<'_, '_> {
         let squares: Vec<(f64, f64)> = (0..pixels.len()).map(square).zip(chances).collect();
         let squares = MeanSquare::expected(&squares, self.pixels_total(), self.confidence());
         let width = self.settings.width;
+        let confidence = self.confidence();
         let expected = if metric == Metric::Flip {
-            flip_expected(&pixels, width, squares)
+            flip_expected(&pixels, width, squares, &missed, confidence)
         } else {
-            estimate(metric, &pixels, width, squares, self.pixels_total(), self.confidence()).whole
+            estimate(metric, &pixels, width, squares, &missed, self.pixels_total(), confidence).whole
         };
         steps.expected = expected;
         if expected <= aim {
@@ -384,20 +449,30 @@ impl Job<'_, '_> {
         }
         // The mean square of sampling over that which is there.
         let less = if metric == Metric::Flip {
-            libm::pow(aim / expected, 2.0 / FLIP_POWER)
+            let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
+            let fixed = if missed.is_empty() { 0.0 } else { unseen_flip(&means, width, &missed, confidence) };
+            libm::pow((aim - fixed).max(0.0) / (expected - fixed), 2.0 / FLIP_POWER)
         } else {
             room * room / (expected * expected - cut * cut)
         };
+        if less <= 0.0 {
+            return Next::End;
+        }
         // A long way is gone in parts, as what is expected of it is not certain.
         let less = if less < 0.5 { libm::pow(less, 0.75) } else { less };
         let open = OpenPixels::new(
             (0..pixels.len()).map(|index| (pixels[index].deviation, square(index), can_go_on(index))),
         );
-        let wanted = less * open.sum_at(f64::INFINITY);
+        let missed = |deviation: f64| {
+            let missed = unseen.at(deviation).squares(self.pixels_total(), confidence);
+            if metric == Metric::Flip { 0.0 } else { missed.value * pixels.len() as f64 }
+        };
+        let sum_at = |deviation: f64| open.sum_at(deviation) + missed(deviation);
+        let wanted = less * (open.sum_at(f64::INFINITY) + missed(steps.deviation));
         let (mut high, mut low) = (widest, widest * 1e-9);
         for _ in 0..40 {
             let middle = (high * low).sqrt();
-            if open.sum_at(middle) > wanted { high = middle } else { low = middle }
+            if sum_at(middle) > wanted { high = middle } else { low = middle }
         }
         Next::GoOn(low.min(0.999 * steps.deviation))
     }

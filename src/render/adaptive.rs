@@ -22,6 +22,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::around::{Around, FirstSamples};
 use super::film::{PixelStatistics, to_f32};
 use crate::geom::round_up_f32;
 
@@ -101,6 +102,12 @@ impl SampleBlocks {
         })
     }
 
+    /// What the neighbours are held against, and what is held against them.
+    pub fn first_samples(&self) -> FirstSamples {
+        let [least, greatest] = self.range();
+        FirstSamples { least, greatest, mean: self.mean(), blocks: self.blocks().count() as u32 }
+    }
+
     /// The most that the mean may lack.
     pub fn lost(&self) -> f64 {
         self.lost / f64::from(self.samples.max(1))
@@ -137,9 +144,7 @@ impl SampleBlocks {
     /// Standard deviation of the mean, in the channel where it is greatest, widened for how few blocks tell it; `contrast` is how
     /// far the other mode may be away. Of a single sample it is what that alone says.
     pub fn deviation(&self, contrast: DVec3) -> f64 {
-        let n = f64::from(self.samples);
-        let unseen = (n + 1.0) / ((n + 2.0) * (n + 2.0) * (n + 3.0));
-        let unseen = unseen * contrast * contrast;
+        let unseen = unseen_variance(self.samples) * contrast * contrast;
         if self.samples == 1 {
             return unseen.max_element().sqrt();
         }
@@ -159,15 +164,23 @@ impl SampleBlocks {
         if count < 2 { DVec3::ZERO } else { 0.5 * (first / first_size - second / second_size) }
     }
 
-    /// What a film shows of them, with a deviation that was found with neighbours.
-    pub fn statistics(&self, deviation: f64) -> PixelStatistics {
+    /// What a film shows of them, with a deviation that was found with neighbours, and what those say.
+    pub fn statistics(&self, deviation: f64, around: &Around) -> PixelStatistics {
         PixelStatistics {
             samples: self.samples(),
             deviation: deviation as f32,
             half_difference: to_f32(self.half_difference()),
             lost: round_up_f32(self.lost()),
+            stands_out: around.stands_out,
+            surround: around.surround,
         }
     }
+}
+
+/// Variance of the share of a mode that none of so many samples has met, by Laplace's rule of succession.
+pub(crate) fn unseen_variance(samples: u32) -> f64 {
+    let n = f64::from(samples);
+    (n + 1.0) / ((n + 2.0) * (n + 2.0) * (n + 3.0))
 }
 
 /// Student's distribution over the normal one at 95 %, by degrees of freedom; above seven it is that of seven.

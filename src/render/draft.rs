@@ -11,6 +11,7 @@ use glam::DVec3;
 use parking_lot::Mutex;
 
 use super::adaptive::SampleBlocks;
+use super::around::{Around, FirstSamples, look_around};
 use super::film::{PixelCost, PixelStatistics, to_f32};
 use super::settings::RenderSettings;
 use super::stage::Stage;
@@ -26,8 +27,8 @@ pub(super) struct PixelState {
     /// In the order of its samples: what blocks add up to may differ in the last place.
     pub sum: DVec3,
     pub blocks: SampleBlocks,
-    /// With its neighbours; zero until [`Draft::look_around`].
-    pub contrast: DVec3,
+    /// What neighbours say; nothing until [`Draft::look_around`].
+    pub around: Around,
     /// Of the mean, as its blocks and its contrast tell it.
     pub deviation: f64,
     pub cost: PixelCost,
@@ -37,7 +38,7 @@ impl PixelState {
     pub const EMPTY: PixelState = PixelState {
         sum: DVec3::ZERO,
         blocks: SampleBlocks::EMPTY,
-        contrast: DVec3::ZERO,
+        around: Around::NOTHING,
         deviation: f64::INFINITY,
         cost: PixelCost { box_tests: 0, triangle_tests: 0 },
     };
@@ -45,7 +46,7 @@ impl PixelState {
     fn shown(&self) -> Shown {
         Shown {
             mean: to_f32(self.sum / f64::from(self.blocks.samples())),
-            statistics: self.blocks.statistics(self.deviation),
+            statistics: self.blocks.statistics(self.deviation, &self.around),
             deviation: self.deviation,
         }
     }
@@ -108,9 +109,6 @@ struct Row {
     shown: Vec<Shown>,
 }
 
-/// The least and the greatest sample of pixels, per channel.
-type ColourRange = [DVec3; 2];
-
 impl Draft {
     /// Of a picture without samples, that so many threads work on.
     ///
@@ -132,7 +130,7 @@ impl Draft {
         })
     }
 
-    /// What [`Draft::new`] takes from the budget: the pixels, four rows of ranges while contrasts are measured, and for each thread
+    /// What [`Draft::new`] takes from the budget: the pixels, three rows of first samples while neighbours are looked at, and for each thread
     /// a tile that needs no more samples.
     pub fn bytes_needed(settings: &RenderSettings, threads: usize) -> Bytes {
         let (width, height) = (u64::from(settings.width), u64::from(settings.height));
@@ -140,9 +138,9 @@ impl Draft {
             * u64::from(settings.tile_size.min(settings.height));
         let row =
             width * (size_of::<PixelState>() + size_of::<Shown>()) as u64 + size_of::<Mutex<Row>>() as u64;
-        let ranges = 4 * width * size_of::<ColourRange>() as u64;
+        let first = 3 * width * size_of::<FirstSamples>() as u64;
         let finished = size_of::<[f32; 3]>() + size_of::<PixelStatistics>() + size_of::<PixelCost>();
-        Bytes(height * row + ranges + threads as u64 * tile * finished as u64)
+        Bytes(height * row + first + threads as u64 * tile * finished as u64)
     }
 
     /// Asks every pixel to have so many samples in any case.
@@ -155,39 +153,32 @@ impl Draft {
         self.least.load(Ordering::Relaxed)
     }
 
-    /// Measures the contrast of each pixel with its neighbours ([`contrast`](super::tile_samples::contrast)); to be called when all
-    /// have the first samples of adaptive sampling, before any goes on alone.
+    /// Has each pixel look at its neighbours ([`look_around`]); to be called when all have the first samples of adaptive sampling, before
+    /// any goes on alone.
     pub fn look_around(&self) {
-        let [mut above, mut here, mut below] = [(); 3].map(|()| vec![NO_RANGE; self.width()]);
-        let mut own = vec![NO_RANGE; self.width()];
-        self.ranges(0, &mut own, &mut below);
+        let height = self.rows.len();
+        let first = |y: usize, into: &mut Vec<FirstSamples>| {
+            into.clear();
+            into.extend(self.rows[y].lock().pixels.iter().map(|pixel| pixel.blocks.first_samples()));
+        };
+        let [mut above, mut here, mut below] = [(); 3].map(|()| Vec::new());
+        if height > 0 {
+            first(0, &mut below);
+        }
         for (y, row) in self.rows.iter().enumerate() {
             (above, here, below) = (here, below, above);
-            self.ranges(y + 1, &mut own, &mut below);
+            if y + 1 < height {
+                first(y + 1, &mut below);
+            }
+            let lines = [&above, &here, &below];
+            let lines = &lines[usize::from(y == 0)..if y + 1 < height { 3 } else { 2 }];
             let Row { pixels, shown } = &mut *row.lock();
+            let size = [pixels.len(), lines.len()];
             for (x, (pixel, shown)) in pixels.iter_mut().zip(shown).enumerate() {
-                let [low, high] = together(together(above[x], here[x]), below[x]);
-                pixel.contrast = high - low;
-                pixel.deviation = pixel.blocks.deviation(pixel.contrast);
+                pixel.around = look_around(size, [x, usize::from(y > 0)], |x, y| lines[y][x]);
+                pixel.deviation = pixel.blocks.deviation(pixel.around.contrast);
                 *shown = pixel.shown();
             }
-        }
-    }
-
-    fn width(&self) -> usize {
-        self.rows.first().map_or(0, |row| row.lock().pixels.len())
-    }
-
-    /// The range of each pixel of a row with its neighbours on either side; none for a row below the picture. `own`: room for those
-    /// without.
-    fn ranges(&self, y: usize, own: &mut [ColourRange], ranges: &mut [ColourRange]) {
-        let Some(row) = self.rows.get(y) else { return ranges.fill(NO_RANGE) };
-        for (own, pixel) in own.iter_mut().zip(&row.lock().pixels) {
-            *own = pixel.blocks.range();
-        }
-        let at = |x: usize| own.get(x).copied().unwrap_or(NO_RANGE);
-        for (x, range) in ranges.iter_mut().enumerate() {
-            *range = together(together(at(x.wrapping_sub(1)), at(x)), at(x + 1));
         }
     }
 
@@ -261,11 +252,4 @@ impl Draft {
         }
         is_whole
     }
-}
-
-/// Of no pixel.
-const NO_RANGE: ColourRange = [DVec3::INFINITY, DVec3::NEG_INFINITY];
-
-fn together([low, high]: ColourRange, [other_low, other_high]: ColourRange) -> ColourRange {
-    [low.min(other_low), high.max(other_high)]
 }

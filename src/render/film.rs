@@ -26,12 +26,22 @@ pub struct PixelStatistics {
     /// The most that any channel may lack because rays and lamps were cut off. Proven, against ray trees of at most
     /// [`work_budget`](super::RenderSettings::work_budget) rays in which nothing is cut.
     pub lost: f32,
+    /// How far the mean of its first samples lay outside of the range of its neighbours' means, and how far their samples lie apart, after
+    /// [`Around`](super::around::Around); 0 unless sampling is adaptive.
+    pub(crate) stands_out: f32,
+    pub(crate) surround: f32,
 }
 
 impl PixelStatistics {
     /// Of a pixel without samples.
-    pub(crate) const NONE: PixelStatistics =
-        PixelStatistics { samples: 0, deviation: f32::INFINITY, half_difference: [0.0; 3], lost: 0.0 };
+    pub(crate) const NONE: PixelStatistics = PixelStatistics {
+        samples: 0,
+        deviation: f32::INFINITY,
+        half_difference: [0.0; 3],
+        lost: 0.0,
+        stands_out: 0.0,
+        surround: 0.0,
+    };
 }
 
 /// What tracing the samples of a pixel took, all its rays together: tests of what was looked at, whatever was in memory. At most

@@ -41,6 +41,7 @@
 mod absorption;
 mod adaptive;
 mod area_lights;
+pub(crate) mod around;
 mod begin;
 mod bound;
 mod children;
@@ -91,7 +92,7 @@ mod workers;
 
 pub use crate::compile::{Control, Threads};
 pub use adaptive::AdaptiveSampling;
-pub(crate) use adaptive::{normal_quantile, student_widening};
+pub(crate) use adaptive::{normal_quantile, student_widening, unseen_variance};
 pub use counters::EffectCounters;
 pub use film::{Film, PixelCost, PixelStatistics};
 pub(crate) use film::{Kept, to_f32};

@@ -6,12 +6,12 @@
 use glam::DVec3;
 
 use super::adaptive::SampleBlocks;
+use super::around::look_around;
 use super::counters::EffectCounters;
 use super::film::to_f32;
 use super::paths::{self, PathTracer};
 use super::query::RayQuery;
 use super::stage::{PixelSample, Stage};
-use super::tile_samples::contrast;
 use super::tiles::Area;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::compile::Control;
@@ -190,12 +190,12 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
             blocks[place].add(radiance, lost);
         })?;
         let size = [ground.width as usize, ground.height as usize];
-        let range = |x: usize, y: usize| blocks[y * size[0] + x].range();
+        let first = |x: usize, y: usize| blocks[y * size[0] + x].first_samples();
         let mut pixels = Vec::with_capacity(area.width as usize * area.height as usize);
         for y in area.y - ground.y..area.y - ground.y + area.height {
             for x in area.x - ground.x..area.x - ground.x + area.width {
                 let at = [x as usize, y as usize];
-                let (place, contrast) = (at[1] * size[0] + at[0], contrast(size, at, range));
+                let (place, contrast) = (at[1] * size[0] + at[0], look_around(size, at, first).contrast);
                 let mut pixel = ProbedPixel { blocks: blocks[place], contrast, levels: Vec::new() };
                 pixel.record();
                 pixels.push(pixel);

@@ -8,6 +8,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::adaptive::SampleBlocks;
+use super::around::{Around, look_around};
 use super::draft::{PixelState, Wanted};
 use super::film::{PixelCost, PixelStatistics, to_f32};
 use super::stage::{PixelSample, Stage};
@@ -44,8 +45,8 @@ pub(super) struct TileSamples {
     blocks: Vec<SampleBlocks>,
     /// What their rays took, in that order; only if it is asked for.
     costs: Vec<PixelCost>,
-    /// Contrast with the neighbours, in that order; only with adaptive sampling.
-    contrasts: Vec<DVec3>,
+    /// What neighbours say of each, in that order; only with adaptive sampling.
+    around: Vec<Around>,
     /// Deviations, in that order; only if the picture goes on.
     deviations: Vec<f64>,
     /// Index of each pixel, row by row; only with adaptive sampling.
@@ -87,14 +88,14 @@ impl TileSamples {
         self.blocks.resize(if keeps_blocks(stage) { count } else { 0 }, SampleBlocks::EMPTY);
         self.costs.clear();
         self.costs.resize(if settings.keep_costs { count } else { 0 }, PixelCost::default());
-        self.contrasts.clear();
+        self.around.clear();
         self.active.clear();
         self.active.extend(0..count as u32);
         (self.first, self.had) = (0, 0);
         self.per_pixel =
             settings.adaptive.map_or(settings.samples_per_pixel, |adaptive| adaptive.samples_min);
         if let Some(draft) = &stage.draft {
-            self.contrasts.resize(count, DVec3::ZERO);
+            self.around.resize(count, Around::NOTHING);
             self.deviations.clear();
             self.deviations.resize(count, f64::INFINITY);
             self.places.clear();
@@ -107,7 +108,7 @@ impl TileSamples {
                 self.had += u64::from(kept.blocks.samples());
                 self.sums[index] = kept.sum;
                 self.blocks[index] = kept.blocks;
-                self.contrasts[index] = kept.contrast;
+                self.around[index] = kept.around;
                 self.deviations[index] = kept.deviation;
                 if let Some(cost) = self.costs.get_mut(index) {
                     *cost = kept.cost;
@@ -237,7 +238,7 @@ impl TileSamples {
         if let Some(draft) = &stage.draft {
             for &index in &self.active {
                 let index = index as usize;
-                self.deviations[index] = self.blocks[index].deviation(self.contrasts[index]);
+                self.deviations[index] = self.blocks[index].deviation(self.around[index].contrast);
             }
             return self.go_on(&Wanted::by(stage, draft.least(), threshold));
         }
@@ -245,8 +246,8 @@ impl TileSamples {
             self.look_around();
         }
         let deviation = threshold.unwrap_or(adaptive.error) / adaptive.quantile();
-        let TileSamples { active, blocks, contrasts, .. } = self;
-        active.retain(|&index| blocks[index as usize].deviation(contrasts[index as usize]) > deviation);
+        let TileSamples { active, blocks, around, .. } = self;
+        active.retain(|&index| blocks[index as usize].deviation(around[index as usize].contrast) > deviation);
         let samples = self.first + self.per_pixel;
         if self.active.is_empty() || samples >= stage.settings.samples_per_pixel {
             return false;
@@ -256,7 +257,7 @@ impl TileSamples {
         true
     }
 
-    /// After the first samples: measures contrasts, and leaves only the tile's own pixels active.
+    /// After the first samples: looks at neighbours, and leaves only the tile's own pixels active.
     fn look_around(&mut self) {
         let place = self.place;
         let (width, height) = (place.ground.width as usize, place.ground.height as usize);
@@ -266,13 +267,12 @@ impl TileSamples {
             self.places[usize::from(*y) * width + usize::from(*x)] = index as u32;
         }
         let (blocks, places) = (&self.blocks, &self.places);
-        let range = |x: usize, y: usize| blocks[places[y * width + x] as usize].range();
-        self.contrasts.extend(self.pixels.iter().map(|pixel| {
+        let first = |x: usize, y: usize| blocks[places[y * width + x] as usize].first_samples();
+        self.around.extend(self.pixels.iter().map(|pixel| {
             if !place.is_own(*pixel) {
-                return DVec3::ZERO;
+                return Around::NOTHING;
             }
-            let [x, y] = pixel.map(usize::from);
-            contrast([width, height], [x, y], range)
+            look_around([width, height], pixel.map(usize::from), first)
         }));
         let pixels = &self.pixels;
         self.active.retain(|&index| place.is_own(pixels[index as usize]));
@@ -280,7 +280,7 @@ impl TileSamples {
 
     /// Brings the tile's pixels into the order of the film. Returns how many samples were not needed, or were there before.
     pub fn finish(&self, stage: &Stage, finished: &mut FinishedTile) -> u64 {
-        let TileSamples { place, pixels, sums, blocks, costs, contrasts, deviations, .. } = self;
+        let TileSamples { place, pixels, sums, blocks, costs, around, deviations, .. } = self;
         let settings = &stage.settings;
         let area = &place.area;
         if let Some(draft) = &stage.draft {
@@ -293,8 +293,8 @@ impl TileSamples {
                     return None;
                 }
                 let cost = costs.get(index).copied().unwrap_or_default();
-                let (sum, blocks, contrast) = (sums[index], blocks[index], contrasts[index]);
-                Some(PixelState { sum, blocks, contrast, deviation: deviations[index], cost })
+                let (sum, blocks, around) = (sums[index], blocks[index], around[index]);
+                Some(PixelState { sum, blocks, around, deviation: deviations[index], cost })
             });
             draft.show(stage, area, finished);
             return saved;
@@ -330,13 +330,13 @@ impl TileSamples {
                 *cost = costs[index];
             }
             if let Some(statistics) = finished.statistics.get_mut(to) {
-                let deviation = match contrasts.get(index) {
-                    Some(contrast) => blocks[index].deviation(*contrast),
+                let (deviation, around) = match around.get(index) {
+                    Some(around) => (blocks[index].deviation(around.contrast), around),
                     // Without neighbours a single sample says nothing.
-                    None if samples == 1 => f64::INFINITY,
-                    None => blocks[index].deviation(DVec3::ZERO),
+                    None if samples == 1 => (f64::INFINITY, &Around::NOTHING),
+                    None => (blocks[index].deviation(DVec3::ZERO), &Around::NOTHING),
                 };
-                *statistics = blocks[index].statistics(deviation);
+                *statistics = blocks[index].statistics(deviation, around);
             }
         }
         saved
@@ -348,7 +348,8 @@ impl TileSamples {
         let is_adaptive = settings.adaptive.is_some();
         let border = if is_adaptive { 2 } else { 0 };
         let blocks = if keeps_blocks(stage) { size_of::<SampleBlocks>() } else { 0 };
-        let adaptive = if is_adaptive { size_of::<DVec3>() + size_of::<f64>() + size_of::<u32>() } else { 0 };
+        let adaptive =
+            if is_adaptive { size_of::<Around>() + size_of::<f64>() + size_of::<u32>() } else { 0 };
         let costs = if settings.keep_costs { size_of::<PixelCost>() } else { 0 };
         tile_pixels(stage, border)
             * (size_of::<[u16; 2]>() + size_of::<DVec3>() + size_of::<u32>() + blocks + costs + adaptive)
@@ -379,22 +380,6 @@ fn tile_pixels(stage: &Stage, border: u32) -> usize {
     let settings = &stage.settings;
     let side = settings.tile_size + border;
     side.min(settings.width) as usize * side.min(settings.height) as usize
-}
-
-/// How far the samples of a pixel and its neighbours lie apart, per channel; `range` is the least and the greatest of each.
-pub(super) fn contrast(
-    [width, height]: [usize; 2],
-    [x, y]: [usize; 2],
-    range: impl Fn(usize, usize) -> [DVec3; 2],
-) -> DVec3 {
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for y in y.saturating_sub(1)..height.min(y + 2) {
-        for x in x.saturating_sub(1)..width.min(x + 2) {
-            let [least, greatest] = range(x, y);
-            (low, high) = (low.min(least), high.max(greatest));
-        }
-    }
-    high - low
 }
 
 /// Whether samples are kept in blocks.

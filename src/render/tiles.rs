@@ -38,6 +38,11 @@ impl TileGrid {
         Area { x, y, width: self.tile_size.min(self.width - x), height: self.tile_size.min(self.height - y) }
     }
 
+    /// The number of the cell that a pixel lies in.
+    pub fn cell_at(&self, x: u32, y: u32) -> u32 {
+        y / self.tile_size * self.columns() + x / self.tile_size
+    }
+
     /// `area` and one pixel around it, as far as the image goes.
     pub fn surroundings(&self, area: &Area) -> Area {
         let (x, y) = (area.x.saturating_sub(1), area.y.saturating_sub(1));
