@@ -20,7 +20,7 @@ const PATH_BYTES_MAX: usize = 1 << 12;
 
 impl Textures {
     /// The pictures that `materials` name: from the file `tiles` if it was made from these images as they are now, else converted to it.
-    /// `folder` is the model's, from which relative paths start. Conversion takes about 600 bytes of the budget for each texel of the
+    /// `folder` is the model's, from which relative paths start. Conversion takes about 700 bytes of the budget for each texel of the
     /// widest image's width, and a JPEG or interlaced PNG image as a whole.
     ///
     /// # Errors

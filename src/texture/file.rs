@@ -1,6 +1,6 @@
 //! The pictures of a model: where their tiles are, and what is known of each.
 //!
-//! The file, little-endian: header of 64 bytes (signature 12, version u32 = 2, pictures u32, tiles u32, directory offset, length,
+//! The file, little-endian: header of 64 bytes (signature 12, version u32 = 3, pictures u32, tiles u32, directory offset, length,
 //! checksum u64 each, key u64, checksum of all before u64), tiles of 16,384 bytes, directory. A tile is 64 x 64 texels of four
 //! bytes, rows from the top. The directory: for each picture its width, height, first tile (u32 each), encoding (u8: 0 sRGB, 1
 //! linear), alpha (u8), path length (u16), least and greatest byte of each channel (4 each), path; then a checksum (u64) for each
@@ -20,7 +20,7 @@ use crate::units::Bytes;
 
 pub(super) const HEADER_BYTES: usize = 64;
 const SIGNATURE: [u8; 12] = *b"\x89outtiles\r\n\n";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Longest directory that is read: some million tiles, and paths.
 const DIRECTORY_BYTES_MAX: u64 = 1 << 30;
 

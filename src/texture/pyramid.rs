@@ -1,5 +1,7 @@
 //! Rows of a picture to tiles of all its sizes, in the memory of one row of tiles for each size.
 
+use smallvec::SmallVec;
+
 use super::Encoding;
 use super::layout::{Level, TILE_BYTES, TILE_SIDE, levels};
 use super::srgb::Table;
@@ -24,9 +26,8 @@ struct Size {
     rows: u32,
     /// The rows of the current row of tiles, RGBA.
     bytes: Vec<u8>,
-    /// The row above, in linear numbers, if the one that comes belongs with it.
-    above: Vec<f32>,
-    has_above: bool,
+    /// Rows that the next row of the smaller size is made of, in linear numbers: three at most.
+    held: Vec<Vec<f32>>,
 }
 
 impl Pyramid {
@@ -35,8 +36,7 @@ impl Pyramid {
             level,
             rows: 0,
             bytes: Vec::with_capacity(4 * (level.width * TILE_SIDE) as usize),
-            above: Vec::with_capacity(4 * level.width as usize),
-            has_above: false,
+            held: Vec::with_capacity(3),
         });
         Pyramid {
             sizes: sizes.collect(),
@@ -48,8 +48,8 @@ impl Pyramid {
 
     /// What it allocates, and the tile that is on its way.
     pub fn bytes_needed(width: u32) -> u64 {
-        // A row of tiles, the row above and one that is made; all sizes together are less than twice the first.
-        2 * u64::from(width) * u64::from(4 * TILE_SIDE + 16 + 16) + TILE_BYTES as u64 + (64 << 10)
+        // A row of tiles, three rows of numbers and one that is made; all sizes together are less than twice the first.
+        2 * u64::from(width) * u64::from(4 * TILE_SIDE + 3 * 16 + 16) + TILE_BYTES as u64 + (64 << 10)
     }
 
     /// Takes a row: four bytes for each texel.
@@ -92,15 +92,15 @@ impl Pyramid {
             return Ok(());
         }
         let size = &mut self.sizes[place];
-        if !size.has_above && !is_last {
-            size.above = numbers;
-            size.has_above = true;
+        size.held.push(numbers);
+        let row = size.rows - 1;
+        if row.is_multiple_of(2) && !is_last {
             return Ok(());
         }
-        // The last row of an odd number counts twice.
-        let above = if size.has_above { std::mem::take(&mut size.above) } else { numbers.clone() };
-        size.has_above = false;
-        let smaller = halve(&above, &numbers);
+        let Level { width, height, .. } = size.level;
+        let smaller = halve(&size.held, taps(height, row / 2), width);
+        // Of an odd number of rows the lower one is a part of the next row too.
+        size.held.drain(..size.held.len() - (height % 2) as usize);
         let texels = smaller.as_chunks::<4>().0.iter();
         let byte = |texel: &[f32; 4]| {
             let [r, g, b, a] = *texel;
@@ -112,23 +112,47 @@ impl Pyramid {
     }
 }
 
-/// Two rows to one of half the length. Colours count by their alpha, so that what is not seen does not bleed into what is.
-fn halve(above: &[f32], below: &[f32]) -> Vec<f32> {
-    let rows = [above, below].map(|row| row.as_chunks::<4>().0);
-    let count = rows[0].len();
-    let mut out = Vec::with_capacity(4 * count.div_ceil(2));
-    for left in (0..count).step_by(2) {
-        let right = (left + 1).min(count - 1);
-        let four = [rows[0][left], rows[0][right], rows[1][left], rows[1][right]];
-        let alpha: f32 = four.iter().map(|texel| texel[3]).sum();
+/// The texels of a row or column of `count` that texel `index` of the next smaller size is made of, and how much each counts: as much
+/// as it covers. An odd number, `2 m - 1`, is cut into `m` equal parts, so that no texel counts more than another in the mean of all,
+/// and each size lies where the largest does.
+fn taps(count: u32, index: u32) -> impl Iterator<Item = (u32, f32)> + Clone {
+    let smaller = count.div_ceil(2);
+    let middle = 2 * index;
+    // Sides are at most 65,536.
+    let share = |parts: u32| parts as f32 / smaller as f32;
+    let [before, after] =
+        if count.is_multiple_of(2) { [0.0, 1.0] } else { [share(index), share(smaller - 1 - index)] };
+    let three = [(middle.wrapping_sub(1), before), (middle, 1.0), (middle + 1, after)];
+    three.into_iter().filter(|(_, weight)| *weight > 0.0)
+}
+
+/// Rows of `width` texels, as much of each as `weights` says, to one of half the length. Colours count by their alpha, so that what is
+/// not seen does not bleed into what is.
+fn halve<'r>(
+    rows: &'r [Vec<f32>],
+    weights: impl Iterator<Item = (u32, f32)> + Clone,
+    width: u32,
+) -> Vec<f32> {
+    let count = width.div_ceil(2);
+    let mut out = Vec::with_capacity(4 * count as usize);
+    for index in 0..count {
+        let of_row = |(row, (_, down)): (&'r Vec<f32>, (u32, f32))| {
+            let texels = row.as_chunks::<4>().0;
+            taps(width, index).map(move |(column, across)| (&texels[column as usize], across * down))
+        };
+        let texels: SmallVec<[(&[f32; 4], f32); 9]> =
+            rows.iter().zip(weights.clone()).flat_map(of_row).collect();
+        let area: f32 = texels.iter().map(|(_, weight)| weight).sum();
+        let alpha: f32 = texels.iter().map(|(texel, weight)| texel[3] * weight).sum();
         for channel in 0..3 {
             out.push(if alpha > 0.0 {
-                four.iter().map(|texel| texel[channel] * texel[3]).sum::<f32>() / alpha
+                let colors = texels.iter().map(|(texel, weight)| texel[channel] * texel[3] * weight);
+                colors.sum::<f32>() / alpha
             } else {
-                four.iter().map(|texel| texel[channel]).sum::<f32>() / 4.0
+                texels.iter().map(|(texel, weight)| texel[channel] * weight).sum::<f32>() / area
             });
         }
-        out.push(alpha / 4.0);
+        out.push(alpha / area);
     }
     out
 }

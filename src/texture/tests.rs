@@ -90,6 +90,37 @@ fn colours_are_averaged_as_light_and_by_their_alpha() {
 }
 
 #[test]
+fn every_texel_counts_the_same_in_the_mean_whatever_the_size() {
+    for (width, height) in [(2, 2), (3, 3), (65, 65), (600, 3), (1, 129), (75, 1), (37, 50)] {
+        // One border is white, on the right or below.
+        for is_right in [true, false] {
+            let last = |x, y| if is_right { x + 1 == width } else { y + 1 == height };
+            let picture = image(width, height, |x, y| [if last(x, y) { 255 } else { 0 }, 0, 0, 255]);
+            let textures = Textures::in_memory([(key("a", Encoding::Linear), picture)]).unwrap();
+            let cache = open(&textures, Bytes::mib(1));
+            let found =
+                cache.reader().sample(TextureId(0), [0.3, 0.3], f64::INFINITY, Address::Repeat).unwrap();
+            let mean = 1.0 / f64::from(if is_right { width } else { height });
+            assert!((found[0] - mean).abs() < 0.0025, "{width} x {height}: {} {mean}", found[0]);
+        }
+    }
+    // What grows evenly does so in every size, at the same places.
+    for width in [64, 75, 129, 200] {
+        let picture = image(width, 1, |x, _| [(255 * (2 * x + 1) / (2 * width)) as u8, 0, 0, 255]);
+        let textures = Textures::in_memory([(key("a", Encoding::Linear), picture)]).unwrap();
+        let cache = open(&textures, Bytes::mib(1));
+        let mut reader = cache.reader();
+        for level in 0..6 {
+            for u in [0.25, 0.4, 0.5, 0.75] {
+                let found =
+                    reader.sample(TextureId(0), [u, 0.5], f64::from(level), Address::Clamp).unwrap()[0];
+                assert!((found - u).abs() < 0.015, "{width} at {u} in size {level}: {found}");
+            }
+        }
+    }
+}
+
+#[test]
 fn lookups_wrap_or_stop_at_the_border_and_mix_between_sizes() {
     let picture = image(64, 64, |x, _| [if x < 32 { 0 } else { 255 }, 0, 0, 255]);
     let textures = Textures::in_memory([(key("a", Encoding::Linear), picture)]).unwrap();
