@@ -77,7 +77,8 @@ impl Bend<'_> {
         let Some([u, v]) = self.frame.tangents(self.front) else { return Ok(None) };
         // One texel of the size that is looked up, to either side.
         let texels = libm::exp2(level.max(0.0));
-        let density = map.density();
+        // A picture may be laid on turned around; a step is one along the surface all the same.
+        let density = map.density().map(f64::abs);
         let mut slopes = [0.0; 2];
         for (axis, slope) in slopes.iter_mut().enumerate() {
             if density[axis] == 0.0 {
