@@ -87,6 +87,21 @@ impl Reservation {
     pub fn bytes(&self) -> Bytes {
         Bytes(self.bytes)
     }
+
+    /// Takes more of the same budget until `bytes` are reserved; what is there already stays.
+    pub(crate) fn grow(&mut self, bytes: Bytes, purpose: &'static str) -> Result<(), BudgetError> {
+        let mut more = self.budget.reserve(Bytes(bytes.0.saturating_sub(self.bytes)), purpose)?;
+        // The two become one, and nothing is given back.
+        self.bytes += std::mem::take(&mut more.bytes);
+        Ok(())
+    }
+
+    /// Gives back what is beyond `bytes`.
+    pub(crate) fn shrink(&mut self, bytes: Bytes) {
+        let given = self.bytes.saturating_sub(bytes.0);
+        self.bytes -= given;
+        drop(Reservation { budget: self.budget.clone(), bytes: given });
+    }
 }
 
 impl Drop for Reservation {

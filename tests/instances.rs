@@ -465,6 +465,40 @@ fn senseless_instances_are_refused() {
         Affine::scale([1e100; 3]),
         Affine::from_rows([[1.0, 2.0, 0.0, 0.0], [2.0, 4.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]),
     ];
+#[test]
+fn frames_need_no_memory_beside_what_the_first_took() {
+    let mut random = Random(23);
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let source = compile(&soup(&mut random, 120, 0.3), Precision::Float32, 40, |i| i as u64);
+    let frame = |count: i32, height: f64| -> Vec<Instance> {
+        let at = |i| Affine::translation([3.0 * f64::from(i), height, 0.0]);
+        (0..count).map(|i| Instance { model: 0, map: at(i) }).collect()
+    };
+    let sources = [source as Arc<dyn BlockSource>];
+    let mut instances =
+        Instances::open(&sources, frame(200, 0.0), &budget, &OctreeOptions::default()).unwrap();
+    let first = budget.used();
+    // Of a model that is larger than memory the cache has all that is left.
+    let rest = budget.reserve(budget.available(), "all else").unwrap();
+    for height in [1.0, 2.0, 3.0] {
+        instances.place(frame(200, height)).unwrap();
+        for shift in [1.0, 9.0] {
+            instances.move_while_open(&[(7, Affine::translation([21.0, height + shift, 0.0]))]).unwrap();
+            assert!(instances.are_moving() && instances.bounds().max[1] > height + shift);
+        }
+    }
+    // More than there is room for: the frame stays.
+    assert!(matches!(instances.place(frame(201, 0.0)), Err(InstanceError::Budget(_))));
+    assert!(instances.instances().len() == 200 && instances.are_moving());
+    drop(rest);
+    instances.place(frame(201, 0.0)).unwrap();
+    assert!(budget.used() > first);
+    instances.place(frame(20, 0.0)).unwrap();
+    assert!(budget.used() < first);
+    drop(instances);
+    assert_eq!(budget.used(), Bytes(0));
+}
+
     let good = Instance { model: 0, map: Affine::IDENTITY };
     for map in bad {
         let refused = open(vec![good, Instance { model: 0, map }]);

@@ -68,7 +68,6 @@ pub struct Instances {
     /// For each instance, its way until the shutter closes, if any moves.
     motions: Vec<Option<Motion>>,
     pub(super) tree: Tree,
-    budget: MemoryBudget,
     memory: Reservation,
     _materials: Reservation,
 }
@@ -144,7 +143,6 @@ impl Instances {
             placed: Vec::new(),
             motions: Vec::new(),
             tree: Tree::default(),
-            budget: budget.clone(),
             memory: budget.reserve(Bytes(0), "instances")?,
             _materials: reserved,
         };
@@ -167,19 +165,26 @@ impl Instances {
     /// Places other instances of the same models: for the next frame of a moving scene. Every block that is in memory stays there.
     ///
     /// # Errors
-    /// As for [`Instances::over`]; the instances are then what they were.
+    /// As for [`Instances::over`]; the instances are then what they were. As many as there were before need no more memory than is
+    /// reserved for them.
     pub fn place(&mut self, instances: Vec<Instance>) -> Result<(), InstanceError> {
         if instances.len() > Self::COUNT_MAX {
             let (count, most) = (instances.len() as u64, Self::COUNT_MAX as u64);
             return Err(InstanceError::TooMany { what: "instances", count, most });
         }
-        let memory = self.budget.reserve(Bytes(bytes_needed(instances.len())), "instances")?;
         let bounds_of = |model: usize| self.octrees.get(model).map(|octree| octree.model().bounds);
-        let placed = ready(&instances, bounds_of).collect::<Result<Vec<_>, _>>()?;
+        // All are looked at before any is kept: so those there were need not be in memory beside them, and the caches may have all else.
+        ready(&instances, bounds_of).try_for_each(|placed| placed.map(drop))?;
+        let needed = Bytes(bytes_needed(instances.len()));
+        self.memory.grow(needed, "instances")?;
+        (self.tree, self.motions, self.placed) = (Tree::default(), Vec::new(), Vec::new());
+        let mut placed = Vec::with_capacity(instances.len());
+        for one in ready(&instances, bounds_of) {
+            placed.push(one?);
+        }
         let boxes: Vec<Aabb> = placed.iter().map(|placed| placed.bounds).collect();
-        self.tree = Tree::new(&boxes);
-        (self.instances, self.placed, self.memory) = (instances, placed, memory);
-        self.motions.clear();
+        (self.tree, self.instances, self.placed) = (Tree::new(&boxes), instances, placed);
+        self.memory.shrink(needed);
         Ok(())
     }
 
@@ -189,9 +194,8 @@ impl Instances {
     ///
     /// # Errors
     /// [`InstanceError::Instance`] if there is no such instance, or it would turn too far (170 degrees; about 100 where its shape
-    /// changes too) or become flat on its way.
+    /// changes too) or become flat on its way. All then move as they did before.
     pub fn move_while_open(&mut self, ends: &[(usize, Affine)]) -> Result<(), InstanceError> {
-        let mut motions = vec![None; self.instances.len()];
         let mut boxes: Vec<Aabb> = self.placed.iter().map(|placed| placed.bounds).collect();
         for (number, end) in ends {
             let refused = |reason| InstanceError::Instance { instance: *number, reason };
@@ -204,10 +208,14 @@ impl Instances {
             }
             let model = self.octrees[start.model as usize].model().bounds;
             boxes[*number] = Placed::bounds_on_way(start, &motion, &model).map_err(refused)?;
-            motions[*number] = Some(motion);
+        }
+        // Nothing is refused any more. What was there before goes first: there is memory for one tree and one list.
+        (self.tree, self.motions) = (Tree::default(), Vec::new());
+        self.motions = vec![None; self.instances.len()];
+        for (number, end) in ends {
+            self.motions[*number] = Some(Motion::new(&self.instances[*number].map, end));
         }
         self.tree = Tree::new(&boxes);
-        self.motions = motions;
         Ok(())
     }
 
