@@ -440,6 +440,20 @@ fn moving_instances_are_where_the_time_of_a_ray_says() {
         }
     }
     assert!(hits > 400 && moved > 100, "{hits} {moved}");
+    // Times beyond the shutter's are those at its ends: nothing leaves the boxes that were made for its way.
+    let mut last = starts.clone();
+    ends.iter().for_each(|(number, end)| last[*number].map = starts[*number].map.between(end, 1.0));
+    for (time, at) in [(-3.0, &starts), (5.0, &last), (f64::INFINITY, &last), (f64::NAN, &starts)] {
+        let world = written(&models, at);
+        let rays = rays(&mut random, &world, 20);
+        let mut found = vec![None; rays.len()];
+        tracer.at_times(vec![time; rays.len()]);
+        tracer.closest_hits(&rays, &mut found).unwrap();
+        for (ray, hit) in rays.iter().zip(found) {
+            let hit = hit.map(|hit| (hit.t, hit.triangle, hit.material));
+            assert_eq!(hit, all_hits(&world, ray).first().copied(), "{time}: {ray:?}");
+        }
+    }
     drop(tracer);
     // What turns over or shrinks to nothing is refused, and the next frame is at rest.
     for bad in [starts[0].map.then(&Affine::scale([-1.0, 1.0, 1.0])), Affine::scale([0.0; 3])] {
@@ -451,20 +465,6 @@ fn moving_instances_are_where_the_time_of_a_ray_says() {
     assert!(!instances.are_moving());
 }
 
-#[test]
-fn senseless_instances_are_refused() {
-    let mut random = Random(18);
-    let budget = MemoryBudget::new(Bytes::mib(64));
-    let source = compile(&soup(&mut random, 20, 0.3), Precision::Float32, 40, |_| 0);
-    let sources = [source as Arc<dyn BlockSource>];
-    let open = |instances| Instances::open(&sources, instances, &budget, &OctreeOptions::default());
-    let bad = [
-        Affine::scale([1.0, 0.0, 1.0]),
-        Affine::scale([f64::NAN, 1.0, 1.0]),
-        Affine::translation([f64::INFINITY, 0.0, 0.0]),
-        Affine::scale([1e100; 3]),
-        Affine::from_rows([[1.0, 2.0, 0.0, 0.0], [2.0, 4.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]),
-    ];
 #[test]
 fn frames_need_no_memory_beside_what_the_first_took() {
     let mut random = Random(23);
@@ -499,6 +499,20 @@ fn frames_need_no_memory_beside_what_the_first_took() {
     assert_eq!(budget.used(), Bytes(0));
 }
 
+#[test]
+fn senseless_instances_are_refused() {
+    let mut random = Random(18);
+    let budget = MemoryBudget::new(Bytes::mib(64));
+    let source = compile(&soup(&mut random, 20, 0.3), Precision::Float32, 40, |_| 0);
+    let sources = [source as Arc<dyn BlockSource>];
+    let open = |instances| Instances::open(&sources, instances, &budget, &OctreeOptions::default());
+    let bad = [
+        Affine::scale([1.0, 0.0, 1.0]),
+        Affine::scale([f64::NAN, 1.0, 1.0]),
+        Affine::translation([f64::INFINITY, 0.0, 0.0]),
+        Affine::scale([1e100; 3]),
+        Affine::from_rows([[1.0, 2.0, 0.0, 0.0], [2.0, 4.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]),
+    ];
     let good = Instance { model: 0, map: Affine::IDENTITY };
     for map in bad {
         let refused = open(vec![good, Instance { model: 0, map }]);

@@ -46,10 +46,11 @@ impl Instances {
 
 impl InstanceTracer<'_> {
     /// Sets when the rays of the next call are traced, one time each: from 0, when the shutter opens, which holds for rays without
-    /// a time, to 1. See [`Instances::move_while_open`].
+    /// a time, to 1; times beyond count as the nearer of the two. See [`Instances::move_while_open`].
     pub fn at_times(&mut self, times: impl IntoIterator<Item = f64>) {
         self.times.clear();
-        self.times.extend(times);
+        // The tree holds boxes of that way only: what goes on behind its end would be lost without a word.
+        self.times.extend(times.into_iter().map(|time| time.clamp(0.0, 1.0)));
     }
 
     /// Finds for each ray the hit with the least (t, triangle number), and puts it at the ray's place in `hits`.
