@@ -4,12 +4,14 @@ use std::fs::File;
 use std::io::{BufReader, Seek};
 use std::path::Path;
 
-use exr::meta::MetaData;
+use exr::meta::header::Header;
+use exr::meta::{BlockDescription, MetaData};
 use exr::prelude::*;
 
 use super::EnvironmentImage;
 use crate::budget::MemoryBudget;
 use crate::error::RenderError;
+use crate::units::Bytes;
 
 pub(super) fn read(path: &Path, budget: &MemoryBudget) -> std::result::Result<EnvironmentImage, RenderError> {
     let failed = |reason: String| RenderError::Read { path: path.to_path_buf(), reason };
@@ -27,6 +29,8 @@ pub(super) fn read(path: &Path, budget: &MemoryBudget) -> std::result::Result<En
     }
     let reservation =
         budget.reserve(EnvironmentImage::bytes_needed(largest[0], largest[1])?, "the environment image")?;
+    let unpacking = meta.headers.iter().map(unpacking_bytes).max().unwrap_or(0);
+    let _unpacking = budget.reserve(Bytes(unpacking), "unpacking the environment image")?;
     file.rewind().map_err(|error| failed(error.to_string()))?;
     struct Pixels {
         width: usize,
@@ -57,10 +61,25 @@ pub(super) fn read(path: &Path, budget: &MemoryBudget) -> std::result::Result<En
     )
 }
 
+/// What unpacking the pixels that are packed together takes, which is as much as the file likes: they, what they are unpacked from and
+/// what stands between the two.
+fn unpacking_bytes(header: &Header) -> u64 {
+    let [width, height] = [header.layer_size.width(), header.layer_size.height()].map(|side| side as u64);
+    let pixels = match header.blocks {
+        BlockDescription::ScanLines => {
+            width.saturating_mul(height.min(header.compression.scan_lines_per_block() as u64))
+        }
+        BlockDescription::Tiles(tiles) => {
+            let [across, down] = [tiles.tile_size.width(), tiles.tile_size.height()].map(|side| side as u64);
+            width.min(across).saturating_mul(height.min(down))
+        }
+    };
+    pixels.saturating_mul(header.channels.bytes_per_pixel as u64).saturating_mul(3)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::Bytes;
 
     fn written(folder: &Path) -> std::path::PathBuf {
         let path = folder.join("sky.exr");
@@ -76,6 +95,27 @@ mod tests {
         let image = EnvironmentImage::read(written(folder.path()), &budget).unwrap();
         assert_eq!((image.size(), image.radiance_max()), ([6, 4], [5.0, 3.0, 0.25]));
         assert_eq!(budget.used(), EnvironmentImage::bytes_needed(6, 4).unwrap());
+    }
+
+    #[test]
+    fn what_a_file_packs_together_is_reserved_while_it_is_unpacked() {
+        let folder = tempfile::tempdir().unwrap();
+        let needed = EnvironmentImage::bytes_needed(256, 256).unwrap();
+        let path = folder.path().join("tile.exr");
+        for blocks in
+            [Blocks::ScanLines, Blocks::Tiles(Vec2(256, 256)), Blocks::Tiles(Vec2(1 << 20, 1 << 20))]
+        {
+            let channels = SpecificChannels::rgb(|_: Vec2<usize>| (1.0f32, 2.0f32, 3.0f32));
+            let encoding = exr::image::Encoding { blocks, ..exr::image::Encoding::SMALL_LOSSLESS };
+            let layer = Layer::new((256, 256), LayerAttributes::named("sky"), encoding, channels);
+            Image::from_layer(layer).write().non_parallel().to_file(&path).unwrap();
+            let small = MemoryBudget::new(Bytes(needed.0 + (16 << 10)));
+            let refused = EnvironmentImage::read(&path, &small);
+            assert!(matches!(refused, Err(RenderError::Budget(_))), "{blocks:?}");
+            let budget = MemoryBudget::new(Bytes::mib(8));
+            let image = EnvironmentImage::read(&path, &budget).unwrap();
+            assert_eq!((image.radiance_max(), budget.used()), ([1.0, 2.0, 3.0], needed), "{blocks:?}");
+        }
     }
 
     #[test]

@@ -11,6 +11,7 @@ use std::path::Path;
 use super::EnvironmentImage;
 use crate::budget::MemoryBudget;
 use crate::error::RenderError;
+use crate::units::Bytes;
 
 /// Longest header, 64 KiB.
 const HEADER_BYTES_MAX: u64 = 64 << 10;
@@ -26,6 +27,7 @@ pub(super) fn read(path: &Path, budget: &MemoryBudget) -> Result<EnvironmentImag
     let [width, height] = header.size;
     let reservation =
         budget.reserve(EnvironmentImage::bytes_needed(width, height)?, "the environment image")?;
+    let _line = budget.reserve(Bytes(4 * u64::from(width)), "a row of the environment image")?;
     let mut line = vec![[0; 4]; width as usize];
     let mut pixels = Vec::with_capacity(width as usize * height as usize);
     for row in 0..height {
@@ -179,7 +181,6 @@ fn take(file: &mut impl Read, into: &mut [u8]) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::Bytes;
 
     fn read_bytes(bytes: &[u8]) -> Result<EnvironmentImage, RenderError> {
         let folder = tempfile::tempdir().unwrap();
@@ -225,6 +226,19 @@ mod tests {
         assert_eq!(pixel(7, 1)[0], 200.0);
         assert_eq!(pixel(2, 2), [0.5, 2.0 / 128.0 / 4.0, 7.0 / 128.0 / 2.0]);
         assert_eq!(pixel(7, 2), [1.0, 7.0 / 64.0 / 4.0, 5.0 / 64.0 / 2.0]);
+    }
+
+    #[test]
+    fn a_row_is_reserved_while_it_is_decoded() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("wide.hdr");
+        // One pixel, and 39,999 like it.
+        let pixels = [9, 9, 9, 129, 1, 1, 1, 0x3f, 1, 1, 1, 0x9c];
+        std::fs::write(&path, [&b"#?RADIANCE\n\n-Y 1 +X 40000\n"[..], &pixels].concat()).unwrap();
+        let needed = EnvironmentImage::bytes_needed(40_000, 1).unwrap().0;
+        let read = |bytes| EnvironmentImage::read(&path, &MemoryBudget::new(Bytes(bytes)));
+        assert!(matches!(read(needed + 4 * 40_000 - 1), Err(RenderError::Budget(_))));
+        assert_eq!(read(needed + 4 * 40_000).unwrap().size(), [40_000, 1]);
     }
 
     #[test]
