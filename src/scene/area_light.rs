@@ -49,9 +49,10 @@ impl LightShape {
         match *self {
             LightShape::Rectangle { corner, edges } => {
                 let [a, b] = edges.map(DVec3::from_array);
-                if !finite(&[corner, edges[0], edges[1]]) || a.cross(b).try_normalize().is_none() {
+                // Neither vanishes nor overflows: what points are found by is divided by it.
+                if !finite(&[corner]) || !a.cross(b).length_squared().is_normal() {
                     return error(
-                        "the corner and edges of a rectangle must be finite and its edges not parallel",
+                        "the corner and edges of a rectangle must be finite, its edges not parallel and of sensible lengths",
                     );
                 }
             }
@@ -334,6 +335,8 @@ mod tests {
         for bad in [
             LightShape::Rectangle { corner: [f64::NAN; 3], edges: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]] },
             LightShape::Rectangle { corner: center, edges: [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]] },
+            LightShape::Rectangle { corner: center, edges: [[1e-80, 0.0, 0.0], [0.0, 1e-80, 0.0]] },
+            LightShape::Rectangle { corner: center, edges: [[1e80, 0.0, 0.0], [0.0, 1e80, 0.0]] },
             LightShape::Disc { center, normal: [0.0; 3], radius: 1.0 },
             LightShape::Disc { center, normal, radius: 0.0 },
             LightShape::Sphere { center, radius: -1.0 },

@@ -155,9 +155,11 @@ impl Light {
             }
             Light::Point { falloff: Falloff::InverseSquare { radius }, .. }
             | Light::Spot { falloff: Falloff::InverseSquare { radius }, .. }
-                if !(radius > 0.0 && (1.0 / (radius * radius)).is_finite()) =>
+                if !(radius > 0.0 && self.irradiance_max().iter().all(|channel| channel.is_finite())) =>
             {
-                error("the radius of a light with falloff must be positive")
+                error(
+                    "the radius of a light with falloff must be positive, and not so small that its light is beyond all numbers",
+                )
             }
             Light::Spot { inner_degrees, outer_degrees, .. }
                 if !(inner_degrees >= 0.0
@@ -409,6 +411,12 @@ mod tests {
             falloff(0.0),
             falloff(1e-200),
         ] {
+            // What can be received from it must be a number, or bounds on light are none.
+            Light::Point {
+                position: [0.0; 3],
+                intensity: [1e30; 3],
+                falloff: Falloff::InverseSquare { radius: 1e-145 },
+            },
             assert!(bad.validate().is_err(), "{bad:?}");
         }
         assert!(falloff(0.1).validate().is_ok());
