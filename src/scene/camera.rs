@@ -175,7 +175,7 @@ impl Camera {
     /// Projection and lens stay this camera's.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] if the camera turns by a right angle or more: cut the motion into shorter ones.
+    /// [`RenderError::Setting`] if one of the camera's axes turns by a right angle or more: cut the motion into shorter ones.
     pub fn moving_to(self, end: &Camera) -> Result<Camera, RenderError> {
         let pose = Pose::new(self.frame, end.eye, end.frame)?;
         Ok(Camera { end: Some(pose), ..self })

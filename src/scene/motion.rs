@@ -17,7 +17,7 @@ impl Pose {
     pub fn new(from: [DVec3; 3], eye: DVec3, frame: [DVec3; 3]) -> Result<Pose, RenderError> {
         // Below a right angle no interpolated vector can vanish, nor up fall onto forward.
         if from.iter().zip(&frame).any(|(a, b)| a.dot(*b) <= 0.0) {
-            let reason = "the camera turns by a right angle or more while the shutter is open; \
+            let reason = "an axis of the camera turns by a right angle or more while the shutter is open; \
                           cut the motion into shorter ones";
             return Err(RenderError::Setting { what: "motion", reason: reason.to_string() });
         }
