@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
-use super::sphere::{cone_direction, disc_point, frame_around, to_frame};
+use super::sphere::{cone_direction, disc_point, frame_around, to_frame, unit};
 use crate::error::RenderError;
 
 /// The shape of a light with extent.
@@ -57,8 +57,8 @@ impl LightShape {
                 }
             }
             LightShape::Disc { center, normal, radius } => {
-                let normal = DVec3::from_array(normal);
-                if !finite(&[center]) || normal.try_normalize().is_none() || !sensible(radius) {
+                let normal = unit(DVec3::from_array(normal));
+                if !finite(&[center]) || normal.is_none() || !sensible(radius) {
                     return error(
                         "a disc needs a finite middle, a normal that is not zero and a positive radius",
                     );
@@ -138,7 +138,7 @@ impl AreaEmitter {
                 }
             }
             LightShape::Disc { center, normal, radius } => {
-                let normal = DVec3::from_array(normal).normalize();
+                let normal = unit(DVec3::from_array(normal)).unwrap_or(DVec3::Z);
                 let axes = frame_around(normal);
                 Shape::Disc { center: DVec3::from_array(center), axes, normal, radius }
             }
@@ -347,6 +347,13 @@ mod tests {
         }
         for shape in shapes() {
             assert!(shape.validate().is_ok());
+        }
+        for length in [1e-300, 1e-162, 1e300] {
+            let disc = LightShape::Disc { center, normal: [0.0, 0.6 * length, 0.8 * length], radius: 1.0 };
+            assert!(disc.validate().is_ok(), "{length}");
+            let normal = DVec3::new(0.0, 0.6, 0.8);
+            let seen = AreaEmitter::new(&disc, [1.0; 3]).crossing(normal, -normal, 2.0).unwrap();
+            assert!((seen.t - 1.0).abs() < 1e-15 && (seen.density * PI - 1.0).abs() < 1e-14, "{length}");
         }
     }
 }

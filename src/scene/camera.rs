@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::lens::Lens;
 use super::motion::Pose;
+use super::sphere::unit;
 use crate::error::RenderError;
 use crate::geom::{Aabb, Ray};
 
@@ -59,8 +60,8 @@ impl Camera {
         if !(eye.is_finite() && look_at.is_finite() && up.is_finite()) {
             return Err(error("eye, look-at and up must be finite"));
         }
-        let forward = (look_at - eye).try_normalize().ok_or_else(|| error("look-at is the eye itself"))?;
-        let up = up.try_normalize().ok_or_else(|| error("up is zero"))?;
+        let forward = unit(look_at - eye).ok_or_else(|| error("look-at is the eye itself"))?;
+        let up = unit(up).ok_or_else(|| error("up is zero"))?;
         let side = forward.cross(up);
         // Below this the direction of `side` is mostly rounding error.
         if side.length_squared() < 1e-24 {
@@ -118,7 +119,7 @@ impl Camera {
 
     /// [`Camera::framing`] with a chosen `up` (zero or not finite counts as +Y).
     pub fn framing_with_up(bounds: &Aabb, up: [f64; 3], aspect: f64) -> Camera {
-        let up = DVec3::from_array(up).try_normalize().unwrap_or(DVec3::Y);
+        let up = unit(DVec3::from_array(up)).unwrap_or(DVec3::Y);
         // The viewer stands at +Z of a model with +Y up and at -Y of one with +Z up, and a little to the right.
         let front = if up.y.abs() > 0.9 { DVec3::Z } else { DVec3::NEG_Y };
         let right = up.cross(front).try_normalize().unwrap_or(DVec3::X);
@@ -348,6 +349,22 @@ mod tests {
             assert!(Camera::orthographic(a, b, up, height).is_err(), "{height}");
         }
         assert!(Camera::pinhole([f64::NAN, 0.0, 0.0], b, up, 40.0).is_err());
+    }
+
+    #[test]
+    fn what_gives_a_camera_its_direction_may_have_any_length() {
+        let same = Camera::pinhole([0.0; 3], [0.0, 0.6, 0.8], [0.0, 1.0, 0.0], 40.0).unwrap();
+        let bounds = Aabb { min: [-1.0; 3], max: [1.0; 3] };
+        let [x_up, framed] =
+            [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]].map(|up| Camera::framing_with_up(&bounds, up, 1.0));
+        for power in [-1000, -540, 500, 1000] {
+            let length = libm::exp2(f64::from(power));
+            let camera =
+                Camera::pinhole([0.0; 3], [0.0, 0.6 * length, 0.8 * length], [0.0, length, 0.0], 40.0);
+            assert_eq!(camera.unwrap(), same, "{power}");
+            assert_eq!(Camera::framing_with_up(&bounds, [0.0, 0.0, length], 1.0), framed, "{power}");
+            assert_eq!(Camera::framing_with_up(&bounds, [length, 0.0, 0.0], 1.0), x_up, "{power}");
+        }
     }
 
     #[test]

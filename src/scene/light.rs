@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Camera;
 use super::area_light::{AreaEmitter, LightShape};
+use super::sphere::unit;
 use crate::error::RenderError;
 use crate::geom::Ray;
 
@@ -171,7 +172,7 @@ impl Light {
             }
             Light::Area { shape, .. } => shape.validate(),
             Light::Directional { direction, .. } | Light::Spot { direction, .. }
-                if DVec3::from_array(direction).try_normalize().is_none() =>
+                if unit(DVec3::from_array(direction)).is_none() =>
             {
                 error("its direction must be finite and not zero")
             }
@@ -187,7 +188,7 @@ impl Light {
         };
         Some(match *self {
             Light::Directional { direction, intensity } => Emitter::Directional(Incidence {
-                toward: -DVec3::from_array(direction).normalize(),
+                toward: -unit(DVec3::from_array(direction)).unwrap_or(DVec3::NEG_Y),
                 irradiance: DVec3::from_array(intensity.map(f64::from)),
             }),
             Light::Point { position, intensity, falloff } => Emitter::Point {
@@ -199,7 +200,7 @@ impl Light {
             Light::Spot { position, direction, intensity, falloff, inner_degrees, outer_degrees } => {
                 let cos = |degrees: f64| libm::cos(degrees.to_radians());
                 let cone = Cone {
-                    axis: DVec3::from_array(direction).normalize(),
+                    axis: unit(DVec3::from_array(direction)).unwrap_or(DVec3::NEG_Y),
                     cos_inner: cos(inner_degrees),
                     cos_outer: cos(outer_degrees),
                 };
@@ -410,16 +411,40 @@ mod tests {
             Light::directional([0.0; 3], [1.0; 3]),
             falloff(0.0),
             falloff(1e-200),
-        ] {
             // What can be received from it must be a number, or bounds on light are none.
             Light::Point {
                 position: [0.0; 3],
                 intensity: [1e30; 3],
                 falloff: Falloff::InverseSquare { radius: 1e-145 },
             },
+        ] {
             assert!(bad.validate().is_err(), "{bad:?}");
         }
         assert!(falloff(0.1).validate().is_ok());
+    }
+
+    #[test]
+    fn directions_may_have_any_length() {
+        let along = DVec3::new(0.6, -0.8, 0.0);
+        for length in [1e-320, 1e-200, 1e-162, 1e-9, 1.0, 3.0, 1e160, 1e300] {
+            let direction = (along * length).to_array();
+            let spot = Light::Spot {
+                position: [0.0; 3],
+                direction,
+                intensity: [1.0; 3],
+                falloff: Falloff::None,
+                inner_degrees: 1.0,
+                outer_degrees: 2.0,
+            };
+            let sun = Light::directional(direction, [1.0; 3]);
+            assert!(sun.validate().is_ok() && spot.validate().is_ok(), "{length}");
+            let incidence = sun.emitter().unwrap().incidence(DVec3::ZERO);
+            // Of the shortest little more than three digits are left.
+            let error = if length < 1e-300 { 1e-3 } else { 1e-15 };
+            assert!((incidence.toward + along).length() < error, "{length}: {}", incidence.toward);
+            assert!((incidence.toward.length() - 1.0).abs() < 1e-15, "{length}");
+            assert_eq!(spot.emitter().unwrap().incidence(along).irradiance, DVec3::ONE, "{length}");
+        }
     }
 
     #[test]

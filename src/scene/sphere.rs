@@ -6,6 +6,19 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
 
 use glam::DVec3;
 
+/// The unit vector along a vector of any length; `None` if it is zero or not finite.
+pub(super) fn unit(v: DVec3) -> Option<DVec3> {
+    let largest = v.abs().max_element();
+    if !v.is_finite() || largest == 0.0 {
+        return None;
+    }
+    // Of other lengths squares lose digits, vanish or overflow. Powers of two leave the vector what it is.
+    match (1e-100..=1e100).contains(&largest) {
+        true => v.try_normalize(),
+        false => unit(v * libm::exp2(if largest < 1.0 { 500.0 } else { -600.0 })),
+    }
+}
+
 /// A point of the unit disc, evenly spread: the concentric map (P. Shirley and K. Chiu, "A Low Distortion Map Between Disk
 /// and Square", 1997). The middle of the square is the middle of the disc, to the bit.
 pub(crate) fn disc_point([u, v]: [f64; 2]) -> [f64; 2] {

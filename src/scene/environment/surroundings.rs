@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::image::EnvironmentImage;
 use crate::error::RenderError;
-use crate::scene::sphere::{cosine_direction, to_frame};
+use crate::scene::sphere::{cosine_direction, to_frame, unit};
 
 /// What surrounds a scene at an infinite distance, and lights it. Rays that hit nothing see it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -83,8 +83,8 @@ fn refused(reason: &str) -> RenderError {
 
 /// Right, up and front of a picture, orthonormal.
 fn frame(up: [f64; 3], front: [f64; 3]) -> Option<[DVec3; 3]> {
-    let up = DVec3::from_array(up).try_normalize()?;
-    let right = DVec3::from_array(front).try_normalize()?.cross(up);
+    let up = unit(DVec3::from_array(up))?;
+    let right = unit(DVec3::from_array(front))?.cross(up);
     // Below this its direction is mostly rounding error.
     let right = (right.length_squared() > 1e-24).then(|| right.normalize())?;
     Some([right, up, up.cross(right)])
