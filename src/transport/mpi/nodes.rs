@@ -134,6 +134,16 @@ impl Nodes {
     pub fn end(&mut self, number: u64) {
         if let Some(way) = self.ways.get_mut(&number) {
             way.phase = Phase::Ending;
+            self.drop_received(number);
+        }
+    }
+
+    /// Whatever has come over a way that is ending counts as taken: else a peer that ends it too would keep what it has sent, waiting
+    /// for room here, as long as this side does the same.
+    fn drop_received(&mut self, number: u64) {
+        if let Some(way) = self.ways.get_mut(&number) {
+            // More than this is never on its way.
+            way.taken = WAITING_BYTES_MAX;
             self.busy.push_back(number);
             self.is_called = true;
         }
@@ -211,6 +221,7 @@ impl Nodes {
                     self.end(to);
                 }
             }
+            (Letter::Frame { .. }, Some(way)) if way.phase == Phase::Ending => self.drop_received(to),
             (Letter::Taken { bytes, .. }, Some(way)) => {
                 way.unacknowledged =
                     way.unacknowledged.saturating_sub(usize::try_from(bytes).unwrap_or(usize::MAX));
@@ -239,5 +250,63 @@ impl Nodes {
         let number = self.add_way(node, rank, theirs, Phase::Open);
         mailbox.open(PeerId(number), Some(format!("{name}, rank {rank}")));
         self.letters.push_back((rank, Letter::Accept { to: theirs, from: number }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::transport::TransportEvent;
+
+    /// Two processes of a job, rank 0 and rank 1.
+    struct Job([Nodes; 2]);
+
+    impl Job {
+        /// Brings letters until none is left; how many there were.
+        fn settle(&mut self) -> usize {
+            let mut count = 0;
+            loop {
+                let mut letters = Vec::new();
+                for (from, nodes) in (0..).zip(&mut self.0) {
+                    nodes.outgoing(|to, bytes| letters.push((from, to, bytes)));
+                }
+                if letters.is_empty() {
+                    return count;
+                }
+                count += letters.len();
+                for (from, to, bytes) in letters {
+                    self.0[to as usize].deliver(from, Letter::parse(bytes).unwrap());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_sent_to_one_who_ends_as_well_is_not_kept() {
+        let mut job = Job([Nodes::default(), Nodes::default()]);
+        let [(node, _), (_, mailbox)] = job.0.each_mut().map(|nodes| nodes.open_node("node"));
+        let number = job.0[0].connect(node, 1, "node", "node");
+        job.settle();
+        let event = mailbox.take(Duration::ZERO).unwrap();
+        let Some(TransportEvent::Connected { peer, .. }) = event else { panic!("{event:?}") };
+        // More than may be on its way, in both directions, and nobody takes any.
+        let numbers = [number, peer.0];
+        for (nodes, number) in job.0.iter_mut().zip(numbers) {
+            for _ in 0..8 {
+                nodes.send(number, vec![0; WAITING_BYTES_MAX / 4]).unwrap();
+            }
+        }
+        job.settle();
+        assert!(job.0.iter().all(Nodes::has_queued));
+        for (nodes, number) in job.0.iter_mut().zip(numbers) {
+            let node = nodes.ways[&number].node;
+            let mailbox = Arc::clone(&nodes.mailboxes[&node]);
+            assert!(mailbox.forget(PeerId(number)));
+            nodes.end(number);
+        }
+        job.settle();
+        assert!(job.0.iter().all(|nodes| nodes.ways.is_empty() && !nodes.has_queued()));
     }
 }
