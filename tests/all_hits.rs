@@ -149,6 +149,51 @@ fn every_tier_gives_what_its_walk_gives() {
     }
 }
 
+/// Triangles that rays along (0.4, 0.3, -1) nearly graze: where they meet is uncertain by far more than blocks' boxes are.
+fn grazed(random: &mut Random, count: usize) -> Triangles {
+    let mut triangle = || {
+        let at = 0.05 * random.signed();
+        let mut corner = |along: f64, across: f64| {
+            let jitter = [0; 3].map(|_| 1e-7 * random.signed());
+            let corner = [1.0 + 0.4 * along + 0.6 * across, 1.0 + 0.3 * along - 0.8 * across, -along];
+            [0, 1, 2].map(|axis| f64::from((corner[axis] + jitter[axis]) as f32))
+        };
+        [corner(at - 0.005, -0.01), corner(at - 0.005, 0.01), corner(at + 0.005, 0.0)]
+    };
+    (0..count).map(|_| triangle()).collect()
+}
+
+#[test]
+fn no_tier_gives_a_hit_twice() {
+    let mut random = Random(7);
+    let mut longest = 0;
+    for block_triangles in [1, 2, 3, 8, 8, 20] {
+        let triangles = grazed(&mut random, 1500);
+        let rays: Vec<Ray> = (0..60)
+            .map(|_| {
+                let side = 1e-3 * random.signed();
+                let origin = [1.0 - 1.2 + 0.6 * side, 1.0 - 0.9 - 0.8 * side, 3.0];
+                Ray::new(origin, [0.4 + 3e-7 * random.signed(), 0.3 + 3e-7 * random.signed(), -1.0])
+            })
+            .collect();
+        let source: Arc<dyn BlockSource> = compile(&triangles, Precision::Float32, block_triangles, |i| {
+            (1e9 - 1e9 * triangles[i][0][2]) as u64
+        });
+        for tier in [Tier::Fast, Tier::Watertight, Tier::Double, Tier::Certified, Tier::Exact] {
+            let octree = open(&source, OctreeOptions { tier, ..Default::default() });
+            let mut tracer = octree.tracer().unwrap();
+            for (ray, hits) in rays.iter().zip(collect_hits(&mut tracer, &rays)) {
+                let mut ids: Vec<TriangleId> = hits.iter().map(|hit| hit.triangle).collect();
+                ids.sort_unstable();
+                ids.dedup();
+                assert_eq!(ids.len(), hits.len(), "{tier:?}, {block_triangles} in a block: {ray:?}");
+                longest = longest.max(hits.len());
+            }
+        }
+    }
+    assert!(longest > 64, "{longest}");
+}
+
 #[test]
 fn a_block_is_entered_once_and_none_behind_the_end() {
     let mut random = Random(3);

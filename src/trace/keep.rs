@@ -61,7 +61,7 @@ pub(super) struct WaitingHits {
     hits: [Hit; WAITING_MAX],
     /// The least hit for which there was no room: those before it are all found.
     bound: Option<(f64, TriangleId)>,
-    /// The hit that was given away last.
+    /// The greatest hit that was given away: none that waits is before it.
     given: Option<(f64, TriangleId)>,
 }
 
@@ -109,6 +109,14 @@ pub(super) struct Streamed<'a> {
 }
 
 impl Streamed<'_> {
+    /// Gives away a hit that comes after greater ones were given, which only tiers do whose `t` may be off by more than the boxes
+    /// of blocks are. Were it to wait, it would be given as the last, and a traversal that goes on from there would find the
+    /// greater ones again.
+    #[cold]
+    fn give_late(&mut self, hit: &Hit) {
+        self.is_over = self.receiver.hit(hit).is_break();
+    }
+
     /// Gives away all that waits, at the end of a traversal.
     pub fn finish(&mut self) {
         self.is_over = self.is_over || self.waiting.give(|_| true, self.receiver).is_break();
@@ -118,7 +126,8 @@ impl Streamed<'_> {
 impl Keep for Streamed<'_> {
     #[inline(always)]
     fn wants(&self, at: (f64, TriangleId)) -> bool {
-        self.waiting.bound.is_none_or(|bound| at < bound)
+        // Within a block, hits go on coming after a late one was the last that is wanted.
+        !self.is_over && self.waiting.bound.is_none_or(|bound| at < bound)
     }
 
     #[inline(always)]
@@ -128,8 +137,12 @@ impl Keep for Streamed<'_> {
 
     #[inline(always)]
     fn keep(&mut self, hit: Hit) -> Option<f64> {
-        let WaitingHits { order, len, hits, bound, .. } = &mut *self.waiting;
+        let WaitingHits { order, len, hits, bound, given } = &mut *self.waiting;
         let at = (hit.t, hit.triangle);
+        if given.is_some_and(|given| at < given) {
+            self.give_late(&hit);
+            return None;
+        }
         let mut end = None;
         if *len == WAITING_MAX {
             // The greatest, which is the first, makes room, unless it is the new one; from here on hits end there.
@@ -157,7 +170,7 @@ impl Keep for Streamed<'_> {
 
     #[inline(always)]
     fn pass(&mut self, least_near: impl FnOnce() -> f32, query: &QueryRay) -> bool {
-        if self.waiting.len > 0 {
+        if self.waiting.len > 0 && !self.is_over {
             let near = least_near();
             self.is_over = self.waiting.give(|t| query.local_high(t) < near, self.receiver).is_break();
         }
