@@ -19,7 +19,9 @@ impl Parser<'_> {
         ended: bool,
         offset: u64,
     ) -> Result<Option<usize>, ImportError> {
-        let comment = data[at..end].trim_ascii_start().starts_with(b"#");
+        // Of this line alone: where many are empty, what is behind them would be looked at for each.
+        let first = data[at..end].iter().find(|byte| !matches!(byte, b' ' | b'\t' | b'\x0C'));
+        let comment = first == Some(&b'#');
         let mut joined = std::mem::take(&mut self.joined);
         joined.clear();
         let mut start = at;
