@@ -28,7 +28,7 @@ const FACETS_MAX: u64 = (1 << 32) / 3;
 
 /// Reads an STL file from `reader` into `sink`; `name` stands in messages.
 ///
-/// A file is taken for text if it starts with `solid` and goes on as text does, whatever its binary facet count would
+/// A file is taken for text if it starts with `solid`, a byte order mark of UTF-8 apart, and goes on as text does, whatever its binary facet count would
 /// be; many binary files start with `solid` too.
 ///
 /// # Errors
@@ -58,6 +58,9 @@ pub(super) fn read(
     feed.set_material(material)?;
     window.refill()?;
     if is_text(&window) {
+        if window.data().starts_with(BYTE_ORDER_MARK) {
+            window.consume(BYTE_ORDER_MARK.len());
+        }
         Text { window: &mut window, line: 1 }.read(&mut feed)?;
     } else {
         read_binary(&mut window, name, &mut feed)?;
@@ -66,11 +69,15 @@ pub(super) fn read(
     feed.finish(window.progress())
 }
 
+/// What some programs begin text in UTF-8 with.
+const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
+
 /// Whether the file is text: `solid` at the start, and no byte that text has not in what the window holds, or a
 /// length that fits no binary file.
 fn is_text(window: &Window<'_>) -> bool {
     let data = window.data();
-    if !data.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid")) {
+    let text = data.strip_prefix(BYTE_ORDER_MARK).unwrap_or(data);
+    if !text.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid")) {
         return false;
     }
     if let (true, Some(header)) = (window.ended(), data.first_chunk::<HEADER_BYTES>()) {

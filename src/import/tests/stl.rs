@@ -70,6 +70,8 @@ fn text_files() {
         text.trim_end().to_string(),
         text.replace(' ', "\t"),
         format!("\n  {text}"),
+        // As some editors begin UTF-8.
+        format!("\u{feff}{text}"),
     ] {
         assert_eq!(stl(&other).unwrap().0.vertices, plain.0.vertices, "{other:?}");
     }
