@@ -1,7 +1,7 @@
 //! The bytes of buffers, wherever they are.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::PathBuf;
 
 use gltf::buffer::Source;
@@ -72,6 +72,10 @@ fn open(opened: &Opened, index: usize) -> Result<OpenBuffer, ImportError> {
     let length = buffer.length() as u64;
     let file = |path: PathBuf, start: u64, room: Option<u64>| {
         let io = |error| ImportError::Io { path: path.clone(), error };
+        // Opening a pipe would wait for whoever writes to it.
+        if !path.metadata().map_err(io)?.is_file() {
+            return Err(io(std::io::Error::new(ErrorKind::InvalidInput, "it is not a file")));
+        }
         let file = File::open(&path).map_err(io)?;
         let there = match room {
             Some(room) => room,

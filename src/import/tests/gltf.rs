@@ -475,6 +475,24 @@ fn what_is_not_supported_says_where() {
     assert!(matches!(Folder::new().import("x.glb", first), Err(ImportError::Byte { offset: 4, .. })));
 }
 
+/// Opening a pipe waits until somebody writes to it.
+#[cfg(unix)]
+#[test]
+fn a_buffer_that_is_a_pipe_is_refused() {
+    let folder = Folder::new();
+    let pipe = folder.0.path().join("pipe.bin");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let mut sample = square();
+    sample.document["buffers"][0]["uri"] = json!("pipe.bin");
+    let path = folder.write("model.gltf", sample.document.to_string());
+    let (sender, receiver) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let _ = sender.send(import_file(path, &ImportOptions::default(), &mut MeshBuffer::new()));
+    });
+    let outcome = receiver.recv_timeout(std::time::Duration::from_secs(20)).expect("it waits for the pipe");
+    assert!(matches!(outcome, Err(ImportError::Io { path, .. }) if path == pipe));
+}
+
 /// Every truncation and many changed bytes: a typed error or a mesh whose triangles name its vertices, never a panic.
 #[test]
 fn damaged_files_do_no_harm() {
