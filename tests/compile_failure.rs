@@ -244,3 +244,29 @@ fn what_comes_after_an_error_of_a_thread_is_refused() {
     assert!(matches!(compiler.finish(), Err(CompileError::Limit { .. })));
     assert!(place.files().is_empty());
 }
+
+#[test]
+fn what_comes_after_an_error_is_refused() {
+    let place = Place::new();
+    let budget = MemoryBudget::new(ROOMY);
+    let options = CompileOptions { threads: Threads::One, ..CompileOptions::default() };
+    let mut progress = |_| Control::Continue;
+    let mut compiler = Compiler::new(place.output(), options, &budget, &mut progress).unwrap();
+    compiler.material(MaterialRecord::default()).unwrap();
+    let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [f32::NAN, 0.0, 0.0]];
+    compiler.vertices(VertexBatch::Float32(&vertices)).unwrap();
+    compiler.vertices_complete().unwrap();
+    let mut batch = vec![[0, 1, 2]; 16 << 10];
+    // Nothing of these is taken, and nothing is lost.
+    assert!(compiler.triangles(&[[0, 1, 4]], MaterialId(0)).is_err());
+    compiler.triangles(&batch, MaterialId(0)).unwrap();
+    batch[9] = [0, 1, 3];
+    let error = compiler.triangles(&batch, MaterialId(0)).unwrap_err();
+    assert!(matches!(error, CompileError::NotFinite { .. }), "{error}");
+    batch[9] = [0, 1, 2];
+    let result = compiler.triangles(&batch, MaterialId(0));
+    assert!(matches!(result, Err(CompileError::Limit { .. })), "{result:?}");
+    let result = compiler.finish();
+    assert!(matches!(result, Err(CompileError::Limit { .. })), "{result:?}");
+    assert!(place.files().is_empty());
+}

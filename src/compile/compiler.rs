@@ -7,7 +7,7 @@ use super::attributes::{Attributes, WrittenAttributes};
 use super::blocks::{BlockMaker, BlockSettings};
 use super::bucket::Bucket;
 use super::clock::{Meter, Moment};
-use super::crew::{Crew, batch_bytes};
+use super::crew::{Crew, batch_bytes, ended};
 use super::faces::Faces;
 use super::grid::{BucketMap, GRID_BYTES, Grid};
 use super::lookup::{AsFloat32, AsLattice, Form};
@@ -74,6 +74,8 @@ pub struct Compiler<'p> {
     watching: bool,
     /// What is missing of the vertices, once an error says so.
     needed: Option<Keep>,
+    /// Whether something was taken in and lost to an error: a file of what is left would lack it.
+    is_over: bool,
     queue: Vec<[u32; 3]>,
     queue_material: u16,
     triangles: u64,
@@ -210,6 +212,7 @@ impl<'p> Compiler<'p> {
             watch: RoundingWatch::new(),
             watching: false,
             needed: None,
+            is_over: false,
             queue: Vec::new(),
             queue_material: 0,
             triangles: 0,
@@ -297,9 +300,13 @@ impl<'p> Compiler<'p> {
         &mut self,
         work: impl FnOnce(&mut Self) -> Result<T, CompileError>,
     ) -> Result<T, CompileError> {
+        if self.is_over {
+            return Err(ended());
+        }
         let entered = self.parse.add_since(self.left);
         let result = work(self);
         self.left = self.scatter.add_since(entered);
+        self.is_over = result.is_err();
         result
     }
 

@@ -25,6 +25,11 @@ pub(super) fn batch_bytes(threads: usize) -> u64 {
     ((BATCHES_WAITING + 2) * threads * BATCH_TRIANGLES * size_of::<[u32; 3]>()) as u64
 }
 
+/// The answer to what comes after an error that lost something.
+pub(super) fn ended() -> CompileError {
+    CompileError::Limit { reason: "an earlier error has ended this compile".into() }
+}
+
 struct Batch {
     triangles: Vec<[u32; 3]>,
     material: u16,
@@ -116,7 +121,7 @@ impl<P: Point> Crew<P> {
     /// An error if a thread has failed before: what it had is lost, and the others have been sent home.
     fn require_whole(&self) -> Result<(), CompileError> {
         match self.senders.is_empty() {
-            true => Err(CompileError::Limit { reason: "an earlier error has ended this compile".into() }),
+            true => Err(ended()),
             false => Ok(()),
         }
     }

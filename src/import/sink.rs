@@ -33,6 +33,10 @@ pub struct CornerIndices<'a> {
 /// Receives an indexed mesh as a stream. Vertices are numbered from 0 in the order in which they come; a face
 /// names vertices that have come already. Triangles get ids in the order in which they come. Batches may have
 /// any length; long ones (thousands) are faster.
+///
+/// An error that says what is wrong with an argument (more materials than may be, a vertex that has not come yet, lists of different
+/// lengths) leaves the sink as it was. After any other, part of what was sent may be lost: the sink is to be dropped. A
+/// [`Compiler`](crate::compile::Compiler) refuses whatever comes after, and makes no file.
 pub trait MeshSink {
     /// Adds a material and returns its id. Names need not be unique; each call adds an entry.
     ///
