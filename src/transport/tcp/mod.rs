@@ -94,7 +94,7 @@ impl TcpTransport {
     /// Opens a node.
     ///
     /// # Errors
-    /// [`TransportError::Listen`] if the address cannot be listened at.
+    /// [`TransportError::Listen`] if the address cannot be listened at, or the system gives no thread for that.
     pub fn open(key: SharedKey, options: TcpOptions) -> Result<TcpTransport, TransportError> {
         let listener = match &options.listen {
             None => None,
@@ -123,17 +123,21 @@ impl TcpTransport {
         if let Some((listener, local)) = listener {
             address = Some(local);
             let accepting = Arc::clone(&shared);
-            shared.spawn(move || accepting.accept(&listener));
+            shared.spawn(move || accepting.accept(&listener)).map_err(|error| TransportError::Listen {
+                address: local.to_string(),
+                reason: no_thread(&error),
+            })?;
         }
         Ok(TcpTransport { shared, address })
     }
 }
 
 impl Shared {
-    fn spawn(&self, run: impl FnOnce() + Send + 'static) {
+    fn spawn(&self, run: impl FnOnce() + Send + 'static) -> io::Result<()> {
         let mut threads = self.threads.lock();
         threads.retain(|thread| !thread.is_finished());
-        threads.push(thread::spawn(run));
+        threads.push(thread::Builder::new().spawn(run)?);
+        Ok(())
     }
 
     fn number(&self) -> u64 {
@@ -166,31 +170,37 @@ impl Shared {
             };
             let number = self.number();
             self.shaking.lock().insert(number, registered);
-            let shared = Arc::clone(self);
-            self.spawn(move || {
+            let (shared, stranger) = (Arc::clone(self), from.clone());
+            let spawned = self.spawn(move || {
                 let deadline = Instant::now() + shared.options.handshake_time_max;
                 let session = handshake::accept(&stream, &shared.key, &shared.options.name, deadline);
                 // Until here the number stands in `shaking`, so that the count of strangers stays bounded.
                 shared.shaking.lock().remove(&number);
                 match session {
                     Ok((session, name)) => {
-                        let peer = PeerId(number);
-                        shared.connected(peer, stream, session, Some(format!("{name} at {from}")));
+                        let (peer, name) = (PeerId(number), format!("{name} at {from}"));
+                        // If it fails, whoever receives here is told that it has ended.
+                        let _ = shared.connected(peer, stream, session, Some(name));
                     }
                     Err(reason) => shared.mailbox.refuse(from, reason),
                 }
             });
+            if let Err(error) = spawned {
+                // There may be one for the next that comes.
+                self.shaking.lock().remove(&number);
+                self.mailbox.refuse(stranger, no_thread(&error));
+            }
         }
     }
 
-    /// Starts the threads of a connection.
+    /// Starts the threads of a connection. If there are none for it, it ends.
     fn connected(
         self: &Arc<Shared>,
         peer: PeerId,
         stream: TcpStream,
         session: Session,
         name: Option<String>,
-    ) {
+    ) -> io::Result<()> {
         let session = Arc::new(session);
         let TcpOptions { queue_bytes_max, frame_time_max, .. } = self.options;
         let connection = Arc::new(Connection::new(stream, queue_bytes_max, frame_time_max));
@@ -199,25 +209,41 @@ impl Shared {
             let mut connections = self.connections.lock();
             if self.stop.load(Ordering::Relaxed) {
                 connection.end();
-                return;
+                return Ok(());
             }
             connections.insert(peer, Arc::clone(&connection));
         }
+        let is_asked_for = name.is_none();
         self.mailbox.open(peer, name);
         let (writing, writer_session) = (Arc::clone(&connection), Arc::clone(&session));
-        self.spawn(move || writing.write(&writer_session));
-        let shared = Arc::clone(self);
-        self.spawn(move || {
-            let options = &shared.options;
-            let reason =
-                connection.read(&session, options.frame_bytes_max, options.frame_time_max, |frame| {
-                    shared.mailbox.put_frame(peer, frame)
-                });
-            connection.unread();
-            shared.connections.lock().remove(&peer);
-            shared.mailbox.end(peer, reason);
+        let (shared, reading) = (Arc::clone(self), Arc::clone(&connection));
+        let spawned = self.spawn(move || writing.write(&writer_session)).and_then(|()| {
+            self.spawn(move || {
+                let options = &shared.options;
+                let reason =
+                    reading.read(&session, options.frame_bytes_max, options.frame_time_max, |frame| {
+                        shared.mailbox.put_frame(peer, frame)
+                    });
+                reading.unread();
+                shared.connections.lock().remove(&peer);
+                shared.mailbox.end(peer, reason);
+            })
         });
+        if let Err(error) = &spawned {
+            self.connections.lock().remove(&peer);
+            connection.end();
+            if is_asked_for {
+                self.mailbox.forget(peer);
+            } else {
+                self.mailbox.end(peer, no_thread(error));
+            }
+        }
+        spawned
     }
+}
+
+fn no_thread(error: &io::Error) -> String {
+    format!("this node gets no thread for it: {error}")
 }
 
 impl Transport for TcpTransport {
@@ -253,7 +279,9 @@ impl Transport for TcpTransport {
             shared.shaking.lock().remove(&number);
             let session =
                 session.map_err(|reason| TransportError::Refused { address: address.to_owned(), reason })?;
-            shared.connected(PeerId(number), stream, session, None);
+            shared
+                .connected(PeerId(number), stream, session, None)
+                .map_err(|error| failed(no_thread(&error)))?;
             return Ok(PeerId(number));
         }
         Err(failed(last))
@@ -327,6 +355,24 @@ mod tests {
     use std::io::Read;
 
     use super::*;
+
+    /// In a process of its own, whose threads want stacks that no system has.
+    #[test]
+    fn a_node_that_gets_no_thread_says_so() {
+        const CHILD: &str = "OUTCROP_TEST_WITHOUT_THREADS";
+        let name = "transport::tcp::tests::a_node_that_gets_no_thread_says_so";
+        if std::env::var_os(CHILD).is_none() {
+            let mut child = std::process::Command::new(std::env::current_exe().unwrap());
+            child.args([name, "--exact", "--test-threads=1"]);
+            let output =
+                child.env(CHILD, "1").env("RUST_MIN_STACK", (1u64 << 60).to_string()).output().unwrap();
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+            return;
+        }
+        let key = SharedKey::from_hex(&"07".repeat(32)).unwrap();
+        let node = TcpTransport::open(key, TcpOptions::loopback("node"));
+        assert!(matches!(node, Err(TransportError::Listen { .. })), "{node:?}");
+    }
 
     #[test]
     fn a_peer_that_takes_little_at_a_time_does_not_hold_up_the_end() {
