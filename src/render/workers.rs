@@ -128,13 +128,15 @@ fn share(
     Ok(totals)
 }
 
-/// Runs `worker` once on each thread.
+/// Runs `worker` once on each thread; on fewer, but one at least, if the system gives fewer.
 pub(super) fn on_threads(threads: &Threads, worker: &(dyn Fn() + Sync)) {
     match threads {
         Threads::One | Threads::Count(0 | 1) => worker(),
         Threads::Count(count) => std::thread::scope(|scope| {
             for _ in 1..*count {
-                scope.spawn(worker);
+                if std::thread::Builder::new().spawn_scoped(scope, worker).is_err() {
+                    break;
+                }
             }
             worker();
         }),
@@ -396,5 +398,32 @@ impl Drop for StopOnPanic<'_> {
         if std::thread::panicking() {
             self.0.store(true, Ordering::Relaxed);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicUsize;
+
+    use super::*;
+
+    /// In a process of its own, whose threads want stacks that no system has.
+    #[test]
+    fn fewer_threads_work_where_the_system_gives_fewer() {
+        const CHILD: &str = "OUTCROP_TEST_WITHOUT_THREADS";
+        let name = "render::workers::tests::fewer_threads_work_where_the_system_gives_fewer";
+        if std::env::var_os(CHILD).is_none() {
+            let mut child = std::process::Command::new(std::env::current_exe().unwrap());
+            child.args([name, "--exact", "--test-threads=1"]);
+            let output =
+                child.env(CHILD, "1").env("RUST_MIN_STACK", (1u64 << 60).to_string()).output().unwrap();
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+            return;
+        }
+        let count = AtomicUsize::new(0);
+        on_threads(&Threads::Count(3), &|| {
+            count.fetch_add(1, Ordering::Relaxed);
+        });
+        assert_eq!(count.into_inner(), 1);
     }
 }
