@@ -88,6 +88,10 @@ fn source_key(keys: &[ImageKey], folder: &Path) -> Result<u64, TextureError> {
     for key in keys {
         let (path, _) = place_of(key, folder);
         let metadata = fs::metadata(&path).map_err(|error| TextureError::Io { path: path.clone(), error })?;
+        // Opening a pipe would wait for whoever writes to it.
+        if !metadata.is_file() {
+            return Err(TextureError::Image { path, reason: "is not a file".to_owned() });
+        }
         if key.path.as_os_str().len() > PATH_BYTES_MAX {
             return Err(TextureError::Image { path, reason: "has too long a path".to_owned() });
         }

@@ -283,6 +283,24 @@ fn what_cannot_be_read_is_named() {
     assert!(Textures::in_memory([(key("few", Encoding::Srgb), few)]).is_err());
 }
 
+/// Opening a pipe waits until somebody writes to it.
+#[cfg(unix)]
+#[test]
+fn an_image_that_is_a_pipe_is_refused() {
+    let place = tempfile::tempdir().unwrap();
+    let folder = place.path().to_path_buf();
+    let made = std::process::Command::new("mkfifo").arg(folder.join("a.png")).status().unwrap();
+    assert!(made.success());
+    let (sender, receiver) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let budget = MemoryBudget::new(Bytes::mib(2));
+        let opened = Textures::open(&[named("a.png")], &folder, &folder.join("tiles"), &budget);
+        let _ = sender.send(opened.map(|_| ()));
+    });
+    let outcome = receiver.recv_timeout(std::time::Duration::from_secs(20)).expect("it waits for the pipe");
+    assert!(matches!(outcome, Err(TextureError::Image { .. })), "{outcome:?}");
+}
+
 #[test]
 fn damaged_files_of_tiles_are_noticed() {
     let place = tempfile::tempdir().unwrap();
