@@ -195,6 +195,7 @@ impl<'a> Renderer<'a> {
     /// Makes the picture on `threads`. `progress` is called after each batch of samples, by one thread at a time;
     /// answering [`Control::Cancel`] ends the render soon and gives the tiles finished so far. Each thread takes a tracer, so the octree
     /// must have been opened for as many ([`OctreeOptions::tracers_max`](crate::octree::OctreeOptions::tracers_max)).
+    /// If the system gives fewer threads, fewer work.
     ///
     /// # Errors
     /// [`RenderError::Budget`] if film and scratch do not fit, [`RenderError::Trace`] if a block cannot be brought

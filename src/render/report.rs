@@ -62,7 +62,7 @@ pub struct RenderReport {
     pub height: u32,
     /// Samples per pixel.
     pub samples_per_pixel: u32,
-    /// Threads that rendered.
+    /// Threads that were to render; if the system gave fewer, fewer did.
     pub threads: u32,
     /// Tiles of the picture.
     pub tiles_total: u32,
