@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Estimate, Goal, Knobs, Metric, SamplingCheck};
+use super::{Estimate, Goal, Knobs, Metric, MissedFeatures, SamplingCheck};
 use crate::geom::{Aabb, Precision};
 use crate::model::Model;
 use crate::octree::Tier;
@@ -28,6 +28,8 @@ pub struct Certificate {
     /// What some pixels that were sampled again show of the picture's error, where samples had a say in how many there are. None where
     /// sampling is not adaptive, and where there are no estimates.
     pub check: Option<SamplingCheck>,
+    /// Estimated: what pixels have missed that others have met. None where there are no estimates.
+    pub missed: Option<MissedFeatures>,
     /// Confidence of each upper estimate.
     pub confidence: f64,
     /// Samples per pixel, on average.
@@ -226,6 +228,12 @@ impl fmt::Display for Certificate {
             writeln!(
                 f,
                 "checked: {pixels} pixels with {samples} further samples, which show {bias:.2} times the error that the picture's own do"
+            )?;
+        }
+        if let Some(MissedFeatures { met, missed, rmse }) = self.missed.filter(|found| found.met > 0) {
+            writeln!(
+                f,
+                "estimated: {met} pixels met a feature by one sample, {missed:.0} others have missed one, which makes {rmse:.2e} RMSE of it"
             )?;
         }
         write!(

@@ -8,6 +8,9 @@
 //! An upper estimate holds the error of *this* picture, which has luck of its own beside that of the estimate. So the variance that it
 //! allows for is that of their difference.
 
+use std::cell::OnceCell;
+use std::ops::Deref;
+
 use super::Metric;
 use super::flip::{Seen, error_map_bound};
 use super::greatest::Deviations;
@@ -41,6 +44,37 @@ impl Sampled {
     /// Square of the half difference, over the channels.
     pub fn square(&self) -> f64 {
         mean_square(&self.half_difference)
+    }
+}
+
+/// What is known of the pixels of a picture, row by row, and what the eye makes of it once somebody asks.
+pub(super) struct Pixels {
+    all: Vec<Sampled>,
+    width: u32,
+    seen: OnceCell<Seen>,
+}
+
+impl Pixels {
+    /// # Panics
+    /// When the eye is asked, if they are no whole number of rows.
+    pub fn new(all: Vec<Sampled>, width: u32) -> Pixels {
+        Pixels { all, width, seen: OnceCell::new() }
+    }
+
+    fn means(&self) -> Vec<[f32; 3]> {
+        self.all.iter().map(|pixel| pixel.mean).collect()
+    }
+
+    fn seen(&self) -> &Seen {
+        self.seen.get_or_init(|| Seen::of(&self.means(), self.width as usize))
+    }
+}
+
+impl Deref for Pixels {
+    type Target = [Sampled];
+
+    fn deref(&self) -> &[Sampled] {
+        &self.all
     }
 }
 
@@ -132,12 +166,11 @@ fn margin(squares: f64, cubes: f64, quantile: f64) -> f64 {
 /// Side of the blocks of pixels whose means are taken as independent: well above the reach of FLIP's filters.
 const BLOCK_SIDE: usize = 16;
 
-/// Estimates an error from `pixels`, rows of `width`, which stand for a picture of `pixels_total` pixels. What pixels have missed is
+/// Estimates an error from `pixels`, which stand for a picture of `pixels_total` pixels. What pixels have missed is
 /// not in `squares`.
 pub(super) fn estimate(
     metric: Metric,
-    pixels: &[Sampled],
-    width: u32,
+    pixels: &Pixels,
     squares: MeanSquare,
     unseen: &Unseen,
     pixels_total: u64,
@@ -155,7 +188,7 @@ pub(super) fn estimate(
             let deviations = Deviations::new(pixels.iter().map(|pixel| pixel.deviation));
             (value, deviations.limit(1.0 - confidence, share, f64::INFINITY, unseen))
         }
-        Metric::Flip => flip(pixels, width as usize, squares, unseen, pixels_total, confidence),
+        Metric::Flip => flip(pixels, squares, unseen, pixels_total, confidence),
     };
     let cut = cut_off(metric, pixels.iter().map(|pixel| pixel.lost)).unwrap_or(0.0);
     Estimate { metric, value, upper, whole: together(metric, upper, cut, pixels, pixels_total) }
@@ -167,23 +200,21 @@ pub(super) fn estimate(
 /// on top of noise changes them less than the first noise changed the truth. [`error_map_bound`] takes the strength of the difference,
 /// which is the same in distribution for the error and for the noise, and at least what FLIP takes.
 fn flip(
-    pixels: &[Sampled],
-    width: usize,
+    pixels: &Pixels,
     squares: MeanSquare,
     unseen: &Unseen,
     pixels_total: u64,
     confidence: f64,
 ) -> (f64, f64) {
     let quantile = normal_quantile(confidence);
-    let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
-    let picture = Seen::of(&means, width);
+    let (means, width) = (pixels.means(), pixels.width as usize);
     // With noise as large as it may be; twice, with signs that are independent: maps that differ as that of the error will differ
     // from them.
     let maps = [Signs::Kept, Signs::Drawn].map(|signs| {
         let mut noisy = noisy(pixels, squares.upper, signs);
         unseen.put_met(&mut noisy, &means);
         unseen.put_missed(&mut noisy, confidence, u64::from(signs == Signs::Drawn));
-        error_map_bound(&Seen::of(&noisy, width), &picture)
+        error_map_bound(&Seen::of(&noisy, width), pixels.seen())
     });
     let most = 0.5 * (mean(&maps[0]) + mean(&maps[1]));
     let differences: Vec<f64> = maps[0].iter().zip(&maps[1]).map(|(a, b)| a - b).collect();
@@ -204,27 +235,18 @@ fn flip(
 pub(super) const FLIP_POWER: f64 = 0.8;
 
 /// What [`estimate`] of FLIP is about, at a third of the work: noise of the size that is held, once, and no margin for its luck.
-pub(super) fn flip_expected(
-    pixels: &[Sampled],
-    width: u32,
-    squares: MeanSquare,
-    unseen: &Unseen,
-    confidence: f64,
-) -> f64 {
-    let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
-    let picture = Seen::of(&means, width as usize);
+pub(super) fn flip_expected(pixels: &Pixels, squares: MeanSquare, unseen: &Unseen, confidence: f64) -> f64 {
     let mut noisy = noisy(pixels, squares.upper, Signs::Kept);
-    unseen.put_met(&mut noisy, &means);
+    unseen.put_met(&mut noisy, &pixels.means());
     unseen.put_missed(&mut noisy, confidence, 0);
-    mean(&error_map_bound(&Seen::of(&noisy, width as usize), &picture))
+    mean(&error_map_bound(&Seen::of(&noisy, pixels.width as usize), pixels.seen()))
 }
 
 /// What FLIP makes of what pixels have missed, alone.
-pub(super) fn unseen_flip(picture: &[[f32; 3]], width: u32, unseen: &Unseen, confidence: f64) -> f64 {
-    let mut whole = picture.to_vec();
+pub(super) fn unseen_flip(pixels: &Pixels, unseen: &Unseen, confidence: f64) -> f64 {
+    let mut whole = pixels.means();
     unseen.put_missed(&mut whole, confidence, 0);
-    let [picture, whole] = [picture, &whole].map(|pixels| Seen::of(pixels, width as usize));
-    mean(&error_map_bound(&whole, &picture))
+    mean(&error_map_bound(&Seen::of(&whole, pixels.width as usize), pixels.seen()))
 }
 
 /// Which sign noise has.
@@ -368,10 +390,11 @@ mod tests {
                 });
             }
             let found: Vec<[f32; 3]> = sampled.iter().map(|pixel| pixel.mean).collect();
+            let sampled = Pixels::new(sampled, SIDE);
             let squares = MeanSquare::of_halves(&sampled, 0.9);
             for (index, metric) in Metric::ALL.into_iter().enumerate() {
                 let total = u64::from(SIDE * SIDE);
-                let estimate = estimate(metric, &sampled, SIDE, squares, &Unseen::default(), total, 0.9);
+                let estimate = estimate(metric, &sampled, squares, &Unseen::default(), total, 0.9);
                 let error = metric.distance(&truths, &found, SIDE);
                 held[index] += u32::from(error <= estimate.upper);
                 ratios[index].push(estimate.upper / error);

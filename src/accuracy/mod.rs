@@ -31,3 +31,4 @@ pub use goal::{Goal, GoalOptions, GoalProgress};
 pub use knobs::{Knobs, Sampling, TileThreshold, render_with_knobs};
 pub use metric::{Metric, flip_map};
 pub use run::{GoalImage, bytes_needed, render_to_goal};
+pub use unseen::MissedFeatures;

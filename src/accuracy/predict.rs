@@ -2,7 +2,7 @@
 //!
 //! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
 
-use super::estimate::{Estimate, MeanSquare, Sampled, estimate, mean_square};
+use super::estimate::{Estimate, MeanSquare, Pixels, Sampled, estimate, mean_square};
 use super::unseen::Unseen;
 use super::{Metric, check};
 use crate::render::probe::{Level, ProbedCell, ProbedPixel};
@@ -50,7 +50,8 @@ impl Prediction<'_> {
         let squares = MeanSquare::expected(&probed, self.pixels_total, self.confidence);
         // What pixels may have missed is known of the whole picture only.
         let unseen = Unseen::default();
-        estimate(metric, &pixels, self.width() as u32, squares, &unseen, self.pixels_total, self.confidence)
+        let pixels = Pixels::new(pixels, self.width() as u32);
+        estimate(metric, &pixels, squares, &unseen, self.pixels_total, self.confidence)
     }
 
     /// All pixels as they are at a threshold.

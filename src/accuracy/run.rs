@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalSeconds, Verdict};
 use super::check::{self, SamplingCheck};
-use super::estimate::{MeanSquare, Sampled, cut_off, estimate};
+use super::estimate::{MeanSquare, Pixels, Sampled, cut_off, estimate};
 use super::job::{FIRST_SAMPLES, GoalProgressFn, Job, PIXEL_CONFIDENCE, PROBE_PIXELS, ask};
 use super::time::{self, Steering};
 use super::unseen::{self, Unseen};
@@ -156,7 +156,7 @@ pub(super) struct Evidence<'e, 'r> {
     /// One with the picture's settings, for further samples.
     pub renderer: &'e Renderer<'r>,
     /// What the film says of each pixel, if that was asked for already.
-    pub pixels: Option<Rc<Vec<Sampled>>>,
+    pub pixels: Option<Rc<Pixels>>,
     /// What a check has said of the picture.
     pub known: Option<Known>,
     /// What pixels may have missed by their first samples, if that is known.
@@ -326,7 +326,7 @@ impl Job<'_, '_> {
         let pixels = match pixels {
             Some(pixels) => pixels,
             None if is_known => Rc::new(sampled(&image.film)),
-            None => Rc::default(),
+            None => Rc::new(Pixels::new(Vec::new(), image.film.width())),
         };
         let unseen = match unseen {
             None if is_known => self.look_closer(renderer, image, &pixels, &knobs.sampling)?,
@@ -345,9 +345,9 @@ impl Job<'_, '_> {
             (_, Some(known)) => known,
             (_, None) => self.check(renderer, image, &pixels, &missed)?,
         };
-        let (estimates, check) = match known {
+        let (estimates, check, missed) = match known {
             Known::Squares(squares, check) => {
-                let (width, total) = (image.film.width(), self.pixels_total());
+                let total = self.pixels_total();
                 let confidence = self.confidence();
                 // Few samples do not tell the greatest error of many pixels.
                 let (Sampling::Fixed { samples: least } | Sampling::Adaptive { samples_min: least, .. }) =
@@ -360,11 +360,11 @@ impl Job<'_, '_> {
                 let estimates = asked.map(|metric| {
                     // Half differences of all samples hold what single pixels have missed, over all.
                     let missed = if halves_hold && metric == Metric::Rmse { &nothing } else { &missed };
-                    estimate(metric, &pixels, width, squares, missed, total, confidence)
+                    estimate(metric, &pixels, squares, missed, total, confidence)
                 });
-                (estimates.collect(), check)
+                (estimates.collect(), check, Some(missed.found(total)))
             }
-            Known::Nothing | Known::Cancelled => (Vec::new(), None),
+            Known::Nothing | Known::Cancelled => (Vec::new(), None, None),
         };
         self.seconds.checking += begun.elapsed().as_secs_f64();
         let is_cancelled = !is_whole || matches!(known, Known::Cancelled);
@@ -385,6 +385,7 @@ impl Job<'_, '_> {
             },
             estimates,
             check,
+            missed,
             confidence: self.options.confidence,
             samples_mean: statistics.iter().map(|pixel| f64::from(pixel.samples)).sum::<f64>() / count,
             knobs,
@@ -495,16 +496,17 @@ fn deviations(knobs: &Knobs, settings: &RenderSettings, width: u32) -> impl Fn(u
 }
 
 /// What is known of each pixel of a film with statistics.
-pub(super) fn sampled(film: &Film) -> Vec<Sampled> {
+pub(super) fn sampled(film: &Film) -> Pixels {
     let pixels = film.pixels().iter().zip(film.statistics().unwrap_or_default());
-    pixels
+    let all = pixels
         .map(|(mean, known)| Sampled {
             mean: *mean,
             half_difference: known.half_difference,
             deviation: f64::from(known.deviation),
             lost: f64::from(known.lost),
         })
-        .collect()
+        .collect();
+    Pixels::new(all, film.width())
 }
 
 /// The progress of a picture that is finished.

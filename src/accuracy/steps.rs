@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::check;
 use super::choose::cut_off_share;
 use super::estimate::{
-    FLIP_POWER, MeanSquare, Sampled, cut_off, estimate, flip_expected, max_quantile, sampling_room,
+    FLIP_POWER, MeanSquare, Pixels, cut_off, estimate, flip_expected, max_quantile, sampling_room,
     unseen_flip,
 };
 use super::greatest::Deviations;
@@ -33,6 +33,8 @@ const STOPPING: f64 = 1.07;
 const FLIP_MARGIN: f64 = 1.04;
 /// How much too large FLIP may be with single samples for more to be added where they are needed most, and not everywhere.
 const FLIP_SINGLES: f64 = 1.4;
+/// How far above what is asked for FLIP is not looked at.
+const FLIP_FAR: f64 = 1.25;
 /// Mean square of what a pixel's deviation is over the threshold at which it stopped, as it falls by `2^-3/4` with each doubling.
 const BELOW_THRESHOLD: f64 = 0.62;
 
@@ -51,9 +53,13 @@ struct Steps<'r, 'a> {
     /// As it is now, with all that its steps took.
     image: Option<RenderedImage>,
     /// What is known of its pixels, once somebody has asked.
-    sampled: Option<Rc<Vec<Sampled>>>,
+    sampled: Option<Rc<Pixels>>,
     /// What pixels may have missed by their first samples.
     unseen: Rc<Unseen>,
+    /// Samples of every pixel when each last looked at its neighbours.
+    first_step: u32,
+    /// FLIP as it was expected last, and the mean square error that it was expected of.
+    flip: Option<(f64, f64)>,
     /// What a check of it as it is now has said, and a certificate.
     known: Option<Known>,
     certificate: Option<Certificate>,
@@ -138,6 +144,8 @@ impl Job<'_, '_> {
             image: None,
             sampled: None,
             unseen: Rc::default(),
+            first_step: 0,
+            flip: None,
             known: None,
             certificate: None,
             expected: 0.0,
@@ -170,10 +178,7 @@ impl Job<'_, '_> {
                     if !is_missed || certificates == CERTIFICATES_MAX {
                         return Ok(certificate);
                     }
-                    let reached = certificate.error_bound(steps.metric).unwrap_or(f64::INFINITY);
-                    steps.certificate = Some(certificate);
-                    // A little more is done than must be, as another certificate has its price.
-                    steps.surprise = 1.01 * reached / steps.expected.max(f64::MIN_POSITIVE);
+                    steps.learn_from(certificate);
                 }
                 Next::End => break,
             }
@@ -204,9 +209,9 @@ impl Job<'_, '_> {
                 if !matches!(certificate.verdict, Verdict::NotMet { .. }) {
                     return Ok(Some(certificate));
                 }
+                steps.learn_from(certificate);
             }
-            if steps.expected * steps.surprise < FLIP_SINGLES * steps.bound && self.fits(steps, &steps.unseen)
-            {
+            if steps.expected * steps.surprise < FLIP_SINGLES * steps.bound && self.fits(steps, &unseen) {
                 return Ok(None);
             }
         }
@@ -219,10 +224,11 @@ impl Job<'_, '_> {
             }
             let pixels = steps.pixels();
             let squares = MeanSquare::of_halves(&pixels, self.confidence());
-            let width = self.settings.width;
             let expected = match steps.metric {
-                // A certificate takes longer than this.
-                Metric::Flip => flip_expected(&pixels, width, squares, &steps.unseen, self.confidence()),
+                Metric::Flip => {
+                    let unseen = Rc::clone(&steps.unseen);
+                    self.flip(steps, &pixels, squares, &unseen, steps.bound)
+                }
                 _ => squares.upper.sqrt(),
             };
             // Twice the samples will not halve it.
@@ -264,9 +270,40 @@ impl Job<'_, '_> {
         Ok(true)
     }
 
+    /// FLIP to be expected. Where it is far above `limit` it follows from how it was when it was last looked at, as a look takes as long as
+    /// half a sample of each pixel.
+    fn flip(
+        &self,
+        steps: &mut Steps<'_, '_>,
+        pixels: &Pixels,
+        squares: MeanSquare,
+        missed: &Unseen,
+        limit: f64,
+    ) -> f64 {
+        let confidence = self.confidence();
+        let size = squares.plus(missed.squares(self.pixels_total(), confidence)).upper;
+        if let Some((flip, before)) = steps.flip {
+            if size == before {
+                // Nothing has been added since.
+                return flip;
+            }
+            let follows = flip * libm::pow(size / before, 0.5 * FLIP_POWER);
+            if follows > FLIP_FAR * limit {
+                return follows;
+            }
+        }
+        let flip = flip_expected(pixels, squares, missed, confidence);
+        steps.flip = (size > 0.0).then_some((flip, size));
+        flip
+    }
+
     /// Goes on until every pixel has first samples, as many as leave little of what pixels miss.
     fn first_steps(&mut self, steps: &mut Steps<'_, '_>) -> Result<(), RenderError> {
-        while self.first_step(steps)? {
+        // It may be where it begins already, if few samples have been tried.
+        while steps.first_step == steps.samples_first || self.first_step(steps)? {
+            if steps.unseen.is_empty() {
+                break;
+            }
             let deviation = match self.next(steps, &Unseen::default()) {
                 Next::GoOn(deviation) => deviation,
                 Next::Certify | Next::End => steps.deviation,
@@ -283,7 +320,7 @@ impl Job<'_, '_> {
     }
 
     /// Whether what pixels have missed leaves enough of the goal for the rest.
-    fn fits(&self, steps: &Steps<'_, '_>, unseen: &Unseen) -> bool {
+    fn fits(&self, steps: &mut Steps<'_, '_>, unseen: &Unseen) -> bool {
         let (bound, confidence) = (AIM * steps.bound, self.confidence());
         if unseen.is_empty() {
             return true;
@@ -291,9 +328,7 @@ impl Job<'_, '_> {
         match steps.metric {
             Metric::Rmse => unseen.squares(self.pixels_total(), confidence).upper <= 0.5 * bound * bound,
             Metric::Max => unseen.missed_above(0.9 * bound) <= 0.5 * (1.0 - confidence),
-            Metric::Flip => steps.image.as_ref().is_none_or(|image| {
-                unseen_flip(image.film.pixels(), image.film.width(), unseen, confidence) <= 0.5 * bound
-            }),
+            Metric::Flip => unseen_flip(&steps.pixels(), unseen, confidence) <= 0.5 * bound,
         }
     }
 
@@ -301,7 +336,7 @@ impl Job<'_, '_> {
     /// stand out. False if the caller wants no more.
     fn first_step(&mut self, steps: &mut Steps<'_, '_>) -> Result<bool, RenderError> {
         self.step(steps, f64::INFINITY)?;
-        steps.unseen = Rc::default();
+        (steps.unseen, steps.first_step) = (Rc::default(), 0);
         let is_cancelled = steps.is_cancelled();
         if let Some(image) = steps.image.as_mut().filter(|_| !is_cancelled) {
             steps.renderer.look_around(&mut image.film);
@@ -319,6 +354,7 @@ impl Job<'_, '_> {
             return Ok(false);
         };
         steps.unseen = unseen;
+        steps.first_step = steps.samples_first;
         Ok(true)
     }
 
@@ -424,8 +460,9 @@ impl Job<'_, '_> {
             return Next::GoOn(low.min(0.93 * steps.deviation));
         }
         // Single samples have no halves, and stopping makes those of others too small.
+        let singles = steps.singles;
         let square = |index: usize| match samples[index] {
-            1 => steps.singles * pixels[index].deviation.powi(2),
+            1 => singles * pixels[index].deviation.powi(2),
             _ => STOPPING * pixels[index].square(),
         };
         let known = || samples.iter().copied().zip(pixels.iter().map(|pixel| pixel.deviation));
@@ -433,12 +470,11 @@ impl Job<'_, '_> {
         let chances = known().map(|(samples, deviation)| plan.chance(samples, deviation));
         let squares: Vec<(f64, f64)> = (0..pixels.len()).map(square).zip(chances).collect();
         let squares = MeanSquare::expected(&squares, self.pixels_total(), self.confidence());
-        let width = self.settings.width;
         let confidence = self.confidence();
         let expected = if metric == Metric::Flip {
-            flip_expected(&pixels, width, squares, &missed, confidence)
+            self.flip(steps, &pixels, squares, &missed, aim)
         } else {
-            estimate(metric, &pixels, width, squares, &missed, self.pixels_total(), confidence).whole
+            estimate(metric, &pixels, squares, &missed, self.pixels_total(), confidence).whole
         };
         steps.expected = expected;
         if expected <= aim {
@@ -449,8 +485,7 @@ impl Job<'_, '_> {
         }
         // The mean square of sampling over that which is there.
         let less = if metric == Metric::Flip {
-            let means: Vec<[f32; 3]> = pixels.iter().map(|pixel| pixel.mean).collect();
-            let fixed = if missed.is_empty() { 0.0 } else { unseen_flip(&means, width, &missed, confidence) };
+            let fixed = if missed.is_empty() { 0.0 } else { unseen_flip(&pixels, &missed, confidence) };
             libm::pow((aim - fixed).max(0.0) / (expected - fixed), 2.0 / FLIP_POWER)
         } else {
             room * room / (expected * expected - cut * cut)
@@ -529,6 +564,14 @@ impl Steps<'_, '_> {
         self.image.as_ref().is_some_and(|image| image.report.outcome == Outcome::Cancelled)
     }
 
+    /// Expects as much more from here on as a certificate says that was too little.
+    fn learn_from(&mut self, certificate: Certificate) {
+        let reached = certificate.error_bound(self.metric).unwrap_or(f64::INFINITY);
+        self.certificate = Some(certificate);
+        // A little more is done than must be, as another certificate has its price.
+        self.surprise = 1.01 * reached / self.expected.max(f64::MIN_POSITIVE);
+    }
+
     /// Sets the threshold to one at which no pixel goes on.
     fn open_none(&mut self) {
         let widest = self.pixels().iter().fold(0.0, |most: f64, pixel| most.max(pixel.deviation));
@@ -537,8 +580,11 @@ impl Steps<'_, '_> {
     }
 
     /// What is known of each pixel.
-    fn pixels(&mut self) -> Rc<Vec<Sampled>> {
-        let known = || self.image.as_ref().map_or_else(Vec::new, |image| sampled(&image.film));
+    fn pixels(&mut self) -> Rc<Pixels> {
+        let known = || match &self.image {
+            Some(image) => sampled(&image.film),
+            None => Pixels::new(Vec::new(), 1),
+        };
         Rc::clone(self.sampled.get_or_insert_with(|| Rc::new(known())))
     }
 

@@ -33,6 +33,19 @@ const SUDDEN: f64 = 4.0;
 /// The least chance of having been met that is thought of: the less, the more pixels have missed a feature, which is fainter in them.
 const CHANCE_MIN: f64 = 0.01;
 
+/// Features much smaller than a pixel that pixels have missed, by what others have met (`docs/accuracy.md`). It is in all estimates of a
+/// certificate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MissedFeatures {
+    /// Pixels that stand out from their neighbours by a single one of their first samples, where pixels that had not met anything would have
+    /// stopped.
+    pub met: u32,
+    /// How many pixels have missed one like it, on average over luck.
+    pub missed: f64,
+    /// The root mean square error that this adds to the picture's.
+    pub rmse: f64,
+}
+
 /// A pixel that has met what its neighbours have not.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
@@ -216,6 +229,14 @@ impl Unseen {
     /// The mean square error that this adds to a picture of so many pixels.
     pub fn squares(&self, pixels_total: u64, confidence: f64) -> MeanSquare {
         MeanSquare::of_draws(self.met.iter().map(Met::square), pixels_total, confidence)
+    }
+
+    /// What a certificate says of it, for a picture of so many pixels.
+    pub fn found(&self, pixels_total: u64) -> MissedFeatures {
+        let missed = self.met.iter().map(Met::missed).sum::<f64>();
+        let rmse = self.met.iter().map(Met::square).sum::<f64>() / pixels_total.max(1) as f64;
+        // Films have fewer than 2^32 pixels. Sums of nothing are -0.
+        MissedFeatures { met: self.met.len() as u32, missed: missed + 0.0, rmse: (rmse + 0.0).sqrt() }
     }
 
     /// How many pixels may lack more than `limit` in a channel.

@@ -28,8 +28,8 @@ const FACETS_MAX: u64 = (1 << 32) / 3;
 
 /// Reads an STL file from `reader` into `sink`; `name` stands in messages.
 ///
-/// A file is taken for text if it starts with `solid`, a byte order mark of UTF-8 apart, and goes on as text does, whatever its binary facet count would
-/// be; many binary files start with `solid` too.
+/// A file is taken for text if it starts with `solid`, a byte order mark of UTF-8 apart, and goes on as text does, whatever its binary
+/// facet count would be; many binary files start with `solid` too.
 ///
 /// # Errors
 /// [`ImportError::Byte`] for a binary file that ends before its last facet, [`ImportError::Line`] for text that cannot be

@@ -58,6 +58,15 @@ fn square() -> Sample {
     Sample { document, buffer }
 }
 
+/// That with its first material, which may show the only picture.
+fn square_with_picture() -> Sample {
+    let mut sample = square();
+    sample.document["meshes"][0]["primitives"][0]["material"] = json!(0);
+    sample.document["images"] = json!([{ "uri": "a.png" }]);
+    sample.document["textures"] = json!([{ "source": 0 }]);
+    sample
+}
+
 impl Sample {
     /// With the buffer in the document.
     fn text(&self) -> String {
@@ -548,10 +557,7 @@ fn files_that_require_quantization_are_read() {
 
 #[test]
 fn normal_pictures_are_as_strong_as_the_file_says() {
-    let mut sample = square();
-    sample.document["meshes"][0]["primitives"][0]["material"] = json!(0);
-    sample.document["images"] = json!([{ "uri": "a.png" }]);
-    sample.document["textures"] = json!([{ "source": 0 }]);
+    let mut sample = square_with_picture();
     sample.document["materials"] = json!([{ "normalTexture": { "index": 0, "scale": 0.25 } }]);
     let (mesh, _) = sample.import().unwrap();
     let images = mesh.materials[0].images.as_ref().unwrap();
@@ -560,10 +566,7 @@ fn normal_pictures_are_as_strong_as_the_file_says() {
 
 #[test]
 fn texture_transforms_move_and_scale_pictures() {
-    let mut sample = square();
-    sample.document["meshes"][0]["primitives"][0]["material"] = json!(0);
-    sample.document["images"] = json!([{ "uri": "a.png" }]);
-    sample.document["textures"] = json!([{ "source": 0 }]);
+    let mut sample = square_with_picture();
     sample.document["extensionsUsed"] = json!(["KHR_texture_transform"]);
     let with = |transform: Value| {
         let extensions = json!({ "KHR_texture_transform": transform });
