@@ -363,7 +363,7 @@ fn run() -> Result<bool, Failure> {
     let samples = number("--reference", if is_test { 64 } else { 1024 })?;
     let settings = RenderSettings::new(size, size);
     let threads = Threads::Count(2);
-    let seeds = text("--held").is_some().then(|| number("--held", 20)).transpose()?;
+    let seeds = text("--held").is_some().then(|| number("--held", 20)).transpose()?.map(|seeds| seeds.max(1));
     let mut all = subjects()?;
     if seeds.is_some() {
         all.push(specks(size)?);

@@ -9,6 +9,7 @@
 use super::estimate::{MeanSquare, Sampled};
 use super::unseen::Unseen;
 use crate::render::PixelStatistics;
+use crate::render::SECOND_SET;
 use crate::render::mix;
 use crate::render::resample::SampledPixel;
 
@@ -36,6 +37,9 @@ pub(super) fn share(pixels_total: u64) -> f64 {
     let pixels = pixels_total.max(1) as f64;
     (libm::pow(2.0 * pixels, 2.0 / 3.0) / pixels).min(1.0)
 }
+
+/// Deviations by which squares that were drawn may be above what they estimate.
+const DRAW_DEVIATIONS: f64 = 2.0;
 
 /// Which chance pixels have.
 #[derive(Clone, Copy, Debug)]
@@ -120,7 +124,7 @@ pub(super) fn draw(
             let (x, y) = (index as u32 % width, index as u32 / width);
             let stands_out = statistics[index].stands_out;
             let drawn = Drawn { index, chance, samples, stands_out };
-            (luck < chance).then_some((drawn, SampledPixel { x, y, samples }))
+            (luck < chance).then_some((drawn, SampledPixel { x, y, first: SECOND_SET, samples }))
         })
         .unzip()
 }
@@ -138,12 +142,20 @@ pub(super) fn mean_square(
         let pixel = &pixels[*index];
         let square = |channel: usize| (f64::from(pixel.mean[channel]) - again[channel]).powi(2);
         let difference = (0..3).map(square).sum::<f64>() / 3.0;
-        if unseen.explains(drawn, pixel, difference) {
-            return 0.0;
-        }
-        own_part(pixel, *samples) * difference / chance
+        (own_part(pixel, *samples) * difference / chance, unseen.explains(drawn, pixel, difference))
     });
-    MeanSquare::of_draws(squares, pixels.len() as u64, confidence)
+    let squares: Vec<(f64, bool)> = squares.collect();
+    let of = |is_explained: bool| {
+        let of = squares.iter().filter(move |(_, explained)| *explained == is_explained);
+        of.map(|(square, _)| *square)
+    };
+    // What is accounted for is not counted again, but not much more than that: as far as it may be by the luck of the draw, which is great, as few
+    // are met that stand for many.
+    let total = pixels.len() as u64;
+    let accounted = unseen.squares(total, confidence).upper * total as f64;
+    let luck = of(true).map(|square| square * square).sum::<f64>().sqrt();
+    let excess = (of(true).sum::<f64>() - DRAW_DEVIATIONS * luck - accounted).max(0.0);
+    MeanSquare::of_draws(of(false).chain([excess]), total, confidence)
 }
 
 #[cfg(test)]

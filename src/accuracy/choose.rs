@@ -114,7 +114,7 @@ impl Job<'_, '_> {
             places.dedup();
             places
         });
-        let row = |y: u32| columns.iter().map(move |&x| SampledPixel { x, y, samples: 1 });
+        let row = |y: u32| columns.iter().map(move |&x| SampledPixel { x, y, first: 1, samples: 1 });
         rows.iter().flat_map(|&y| row(y)).collect()
     }
 }

@@ -99,7 +99,8 @@ impl MeanSquare {
     /// `((x - y) / 2)^2`, and they differ by `x y`. Its variance, `E[x^2]^2`, is at most twice the mean fourth power of half
     /// differences, whatever the distribution.
     pub fn of_halves(pixels: &[Sampled], confidence: f64) -> MeanSquare {
-        MeanSquare::of_sums(pixels.iter().map(Sampled::square), 2.0, pixels.len() as u64, confidence)
+        let terms = pixels.iter().map(|pixel| (pixel.square(), 2.0 * pixel.square().powi(2)));
+        MeanSquare::of_sums(terms, pixels.len() as u64, confidence)
     }
 
     /// From square errors of pixels that were drawn, each over its chance.
@@ -107,23 +108,23 @@ impl MeanSquare {
     /// The variance of the difference between their sum and the sum of all square errors is at most the sum of their squares if both
     /// means of a pixel are equally distributed.
     pub fn of_draws(squares: impl Iterator<Item = f64>, pixels_total: u64, confidence: f64) -> MeanSquare {
-        MeanSquare::of_sums(squares, 1.0, pixels_total, confidence)
+        MeanSquare::of_sums(squares.map(|square| (square, square * square)), pixels_total, confidence)
     }
 
-    fn of_sums(
-        terms: impl Iterator<Item = f64>,
-        variance: f64,
+    /// From terms and, for each, the variance of what it is off by.
+    pub fn of_sums(
+        terms: impl Iterator<Item = (f64, f64)>,
         pixels_total: u64,
         confidence: f64,
     ) -> MeanSquare {
-        let (mut sum, mut squares, mut cubes) = (0.0, 0.0, 0.0);
-        for term in terms {
+        let (mut sum, mut variances, mut cubes) = (0.0, 0.0, 0.0);
+        for (term, variance) in terms {
             sum += term;
-            squares += term * term;
+            variances += variance;
             cubes += term * term * term;
         }
         let count = pixels_total.max(1) as f64;
-        let upper = sum + margin(variance * squares, cubes, normal_quantile(confidence));
+        let upper = sum + margin(variances, cubes, normal_quantile(confidence));
         MeanSquare { value: sum / count, upper: upper / count }
     }
 
@@ -153,8 +154,7 @@ impl MeanSquare {
     }
 }
 
-/// How far a sum of positive terms may lie below what it estimates, from the sum of their squares (its variance) and of their
-/// cubes. The second part is for skewness (Johnson 1978): few large terms make a sum that is mostly too low. It is about the
+/// How far a sum of positive terms may lie below what it estimates, from its variance and the sum of their cubes. The second part is for skewness (Johnson 1978): few large terms make a sum that is mostly too low. It is about the
 /// largest term once more: one like it may have been missed.
 fn margin(squares: f64, cubes: f64, quantile: f64) -> f64 {
     if squares <= 0.0 {

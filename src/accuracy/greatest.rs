@@ -36,7 +36,7 @@ impl Deviations {
     /// picture, and none has a deviation above `most`, nor has it missed what is `unseen`. With `most` far below the greatest it is too low, as small deviations were
     /// left out: good for aiming only.
     pub fn limit(&self, chance: f64, share: f64, most: f64, unseen: &Unseen) -> f64 {
-        if self.greatest == 0.0 || self.greatest.is_infinite() {
+        if self.greatest.is_infinite() || self.greatest == 0.0 && unseen.is_empty() {
             return self.greatest;
         }
         let deviation = |step: usize| (self.greatest * libm::exp2(-(step as f64) / STEPS)).min(most);

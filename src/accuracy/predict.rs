@@ -3,7 +3,7 @@
 //! A threshold is given as a standard deviation here: the half width of the confidence interval over its quantile.
 
 use super::estimate::{Estimate, MeanSquare, Pixels, Sampled, estimate, mean_square};
-use super::unseen::Unseen;
+use super::unseen::{self, Unseen};
 use super::{Metric, check};
 use crate::render::probe::{Level, ProbedCell, ProbedPixel};
 
@@ -94,6 +94,15 @@ impl Prediction<'_> {
             })
             .sum();
         samples / cell.pixels.len() as f64 * self.rays_per_sample(cell)
+    }
+
+    /// Rays that it takes to look closer at what stands out, at most.
+    pub fn rays_closer(&self) -> f64 {
+        let around = self.rows().map(|pixel| [pixel.around.stands_out, pixel.around.surround]);
+        let samples = unseen::samples_closer(around, self.samples_min());
+        let cells = self.cells.len().max(1) as f64;
+        let rays = self.cells.iter().map(|cell| self.rays_per_sample(cell)).sum::<f64>() / cells;
+        samples * rays * self.pixels_total as f64 / self.pixels().max(1) as f64
     }
 
     pub fn rays_per_sample(&self, cell: &ProbedCell) -> f64 {

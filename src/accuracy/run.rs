@@ -8,7 +8,7 @@ use super::check::{self, SamplingCheck};
 use super::estimate::{MeanSquare, Pixels, Sampled, cut_off, estimate};
 use super::job::{FIRST_SAMPLES, GoalProgressFn, Job, PIXEL_CONFIDENCE, PROBE_PIXELS, ask};
 use super::time::{self, Steering};
-use super::unseen::{self, Unseen};
+use super::unseen::{self, MissedFeatures, Unseen};
 use super::{Goal, GoalOptions, GoalProgress, Knobs, Metric, Sampling};
 use crate::LazyOctree;
 use crate::budget::MemoryBudget;
@@ -16,7 +16,9 @@ use crate::compile::{Control, Threads};
 use crate::error::RenderError;
 use crate::model::Model;
 use crate::octree::Tier;
+use crate::render::adaptive::SampleBlocks;
 use crate::render::draft::Draft;
+use crate::render::resample::SampledPixel;
 use crate::render::{
     AdaptiveSampling, Film, Kept, Outcome, Progress, RenderSettings, RenderedImage, Renderer,
     normal_quantile, resample, worker_count,
@@ -202,7 +204,12 @@ impl Job<'_, '_> {
         Ok(GoalImage { image, certificate })
     }
 
-    pub(super) fn why_missed(&self, image: &RenderedImage, reached: f64, cut: f64, bound: f64) -> Verdict {
+    pub(super) fn why_missed(
+        &self,
+        image: &RenderedImage,
+        missed: Option<MissedFeatures>,
+        [reached, cut, bound]: [f64; 3],
+    ) -> Verdict {
         let most = self.options.samples_max;
         let statistics = image.film.statistics().unwrap_or_default();
         let full = statistics.iter().filter(|pixel| pixel.samples >= most).count();
@@ -212,6 +219,10 @@ impl Job<'_, '_> {
             )
         } else if full > 0 {
             format!("{full} pixels have the most samples allowed, {most}; allow more")
+        } else if let Some(MissedFeatures { missed, .. }) = missed.filter(|found| found.missed >= 0.5) {
+            format!(
+                "{missed:.0} pixels may have missed a feature smaller than they are; allow more samples, {most} now"
+            )
         } else {
             "it is only little above; ask for a little less".to_string()
         };
@@ -247,6 +258,8 @@ impl Job<'_, '_> {
         }
         let share = self.pixels_total() as f64 / prediction.pixels() as f64;
         let left = limit.saturating_sub(closing.elapsed().mul_f64(share) + self.start.elapsed());
+        let closer = Duration::from_secs_f64((prediction.rays_closer() / rate).min(left.as_secs_f64()));
+        let left = left - closer;
         let until = self.start.elapsed() + left.div_f64(1.0 + check::share(self.pixels_total()));
         let steering = Steering::new(&prediction, &self.settings, quantile, self.start, until, workers, rate);
         self.count(&probe);
@@ -328,8 +341,18 @@ impl Job<'_, '_> {
             None if is_known => Rc::new(sampled(&image.film)),
             None => Rc::new(Pixels::new(Vec::new(), image.film.width())),
         };
+        // Few samples do not tell the greatest error of many pixels.
+        let (Sampling::Fixed { samples: least } | Sampling::Adaptive { samples_min: least, .. }) =
+            knobs.sampling;
+        let few = least < FIRST_SAMPLES;
+        let is_told = |metric: &Metric| self.is_asked(*metric) && !(few && *metric == Metric::Max);
+        let asked: Vec<Metric> = Metric::ALL.into_iter().filter(is_told).collect();
+        // Half differences of all samples hold what single pixels have missed, over all.
+        let halves_hold = matches!(knobs.sampling, Sampling::Fixed { .. });
+        let is_needed = asked.iter().any(|metric| !(halves_hold && *metric == Metric::Rmse));
         let unseen = match unseen {
-            None if is_known => self.look_closer(renderer, image, &pixels, &knobs.sampling)?,
+            None if is_known && is_needed => self.look_closer(renderer, image, &pixels, &knobs.sampling)?,
+            None => Some(Rc::default()),
             found => found,
         };
         let missed = unseen.as_ref().map_or_else(Unseen::default, |unseen| {
@@ -337,6 +360,7 @@ impl Job<'_, '_> {
         });
         let known = match (&knobs.sampling, known) {
             _ if !is_known => Known::Nothing,
+            (_, Some(Known::Cancelled)) => Known::Cancelled,
             _ if unseen.is_none() => Known::Cancelled,
             // What a check says is of samples that stop; of fixed ones the halves tell.
             (Sampling::Fixed { .. }, _) => {
@@ -349,20 +373,12 @@ impl Job<'_, '_> {
             Known::Squares(squares, check) => {
                 let total = self.pixels_total();
                 let confidence = self.confidence();
-                // Few samples do not tell the greatest error of many pixels.
-                let (Sampling::Fixed { samples: least } | Sampling::Adaptive { samples_min: least, .. }) =
-                    knobs.sampling;
-                let few = least < FIRST_SAMPLES;
-                let is_told = |metric: &Metric| self.is_asked(*metric) && !(few && *metric == Metric::Max);
-                let asked = Metric::ALL.into_iter().filter(is_told);
-                let halves_hold = matches!(knobs.sampling, Sampling::Fixed { .. });
                 let nothing = Unseen::default();
-                let estimates = asked.map(|metric| {
-                    // Half differences of all samples hold what single pixels have missed, over all.
+                let estimates = asked.into_iter().map(|metric| {
                     let missed = if halves_hold && metric == Metric::Rmse { &nothing } else { &missed };
                     estimate(metric, &pixels, squares, missed, total, confidence)
                 });
-                (estimates.collect(), check, Some(missed.found(total)))
+                (estimates.collect(), check, is_needed.then(|| missed.found(total)))
             }
             Known::Nothing | Known::Cancelled => (Vec::new(), None, None),
         };
@@ -447,27 +463,30 @@ impl Job<'_, '_> {
         sampling: &Sampling,
     ) -> Result<Option<Rc<Unseen>>, RenderError> {
         let width = image.film.width();
-        let (candidates, places, samples) = match sampling {
+        let seed = self.settings.seed;
+        let (candidates, samples) = match sampling {
             Sampling::Fixed { samples } => {
-                let (found, places) =
-                    unseen::candidates(unseen::around(pixels, width, *samples).into_iter(), width, *samples);
-                (found, places, *samples)
+                let around = unseen::stands_out(pixels, width, *samples).into_iter();
+                (unseen::candidates(around, width, *samples, (*samples).min(2), seed), *samples)
             }
             Sampling::Adaptive { samples_min, .. } => {
                 let statistics = image.film.statistics().unwrap_or_default();
                 let around = statistics.iter().map(|pixel| [pixel.stands_out, pixel.surround]);
-                let (found, places) = unseen::candidates(around, width, *samples_min);
-                (found, places, *samples_min)
+                let blocks = SampleBlocks::count_of(*samples_min);
+                (unseen::candidates(around, width, *samples_min, blocks, seed), *samples_min)
             }
         };
+        if candidates.is_empty() {
+            return Ok(Some(Rc::default()));
+        }
+        let places: Vec<SampledPixel> = candidates.iter().map(|candidate| candidate.place).collect();
         let (attempt, told) = (self.counters.attempts, &mut *self.progress);
         let progress = whole(image);
         let mut stop = || told(GoalProgress { attempt, progress });
         let Some(again) = renderer.resample(&places, self.threads, &mut stop)? else { return Ok(None) };
         self.counters.effects.merge(&again.effects);
         self.counters.trace.merge(&again.trace);
-        let further =
-            again.means.iter().map(|mean| mean.to_array()).zip(places.iter().map(|pixel| &pixel.samples));
+        let further = again.means.iter().map(|mean| mean.to_array());
         Ok(Some(Rc::new(Unseen::of(pixels, width, samples, &candidates, further))))
     }
 }

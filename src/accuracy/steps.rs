@@ -27,8 +27,8 @@ const STEPS_MAX: u32 = 32;
 const CERTIFICATES_MAX: u32 = 6;
 /// What is aimed at of an error goal.
 const AIM: f64 = 0.98;
-/// Mean square error of pixels that stopped over what their halves say, before a check tells.
-const STOPPING: f64 = 1.07;
+/// Mean square error of pixels over what their halves say, before a check tells: halves complement each other, and pixels stop where they agree.
+const STOPPING: f64 = 0.85;
 /// What a certificate says of FLIP over what is expected of it, before one is known: margins for luck.
 const FLIP_MARGIN: f64 = 1.04;
 /// How much too large FLIP may be with single samples for more to be added where they are needed most, and not everywhere.
@@ -57,7 +57,7 @@ struct Steps<'r, 'a> {
     /// What pixels may have missed by their first samples.
     unseen: Rc<Unseen>,
     /// Samples of every pixel when each last looked at its neighbours.
-    first_step: u32,
+    looked_at: Option<u32>,
     /// FLIP as it was expected last, and the mean square error that it was expected of.
     flip: Option<(f64, f64)>,
     /// What a check of it as it is now has said, and a certificate.
@@ -144,7 +144,7 @@ impl Job<'_, '_> {
             image: None,
             sampled: None,
             unseen: Rc::default(),
-            first_step: 0,
+            looked_at: None,
             flip: None,
             known: None,
             certificate: None,
@@ -162,7 +162,9 @@ impl Job<'_, '_> {
         if let Some(certificate) = self.few_samples(steps)? {
             return Ok(certificate);
         }
-        self.first_steps(steps)?;
+        if !self.first_steps(steps)? {
+            return self.certify(steps);
+        }
         let mut certificates = 0;
         for _ in 0..STEPS_MAX {
             let unseen = Rc::clone(&steps.unseen);
@@ -218,7 +220,9 @@ impl Job<'_, '_> {
         for samples in [2, FIRST_SAMPLES] {
             steps.samples_first = samples;
             if steps.metric == Metric::Flip {
-                self.first_step(steps)?;
+                if !self.first_step(steps)? {
+                    return self.certify(steps).map(Some);
+                }
             } else {
                 self.step(steps, f64::INFINITY)?;
             }
@@ -297,12 +301,15 @@ impl Job<'_, '_> {
         flip
     }
 
-    /// Goes on until every pixel has first samples, as many as leave little of what pixels miss.
-    fn first_steps(&mut self, steps: &mut Steps<'_, '_>) -> Result<(), RenderError> {
+    /// Goes on until every pixel has first samples, as many as leave little of what pixels miss. False if the caller wants no more.
+    fn first_steps(&mut self, steps: &mut Steps<'_, '_>) -> Result<bool, RenderError> {
         // It may be where it begins already, if few samples have been tried.
-        while steps.first_step == steps.samples_first || self.first_step(steps)? {
+        loop {
+            if steps.looked_at != Some(steps.samples_first) && !self.first_step(steps)? {
+                return Ok(false);
+            }
             if steps.unseen.is_empty() {
-                break;
+                return Ok(true);
             }
             let deviation = match self.next(steps, &Unseen::default()) {
                 Next::GoOn(deviation) => deviation,
@@ -313,18 +320,19 @@ impl Job<'_, '_> {
             let times = std::iter::successors(Some(1u32), |times| times.checked_mul(2))
                 .take_while(|times| *times <= most)
                 .find(|times| self.fits(steps, &unseen.with_times(*times)));
-            let Some(times) = times.filter(|times| *times > 1) else { break };
+            let Some(times) = times.filter(|times| *times > 1) else { return Ok(true) };
             steps.samples_first *= times;
         }
-        Ok(())
     }
 
     /// Whether what pixels have missed leaves enough of the goal for the rest.
     fn fits(&self, steps: &mut Steps<'_, '_>, unseen: &Unseen) -> bool {
-        let (bound, confidence) = (AIM * steps.bound, self.confidence());
         if unseen.is_empty() {
             return true;
         }
+        let confidence = self.confidence();
+        let cut = cut_off(steps.metric, steps.pixels().iter().map(|pixel| pixel.lost)).unwrap_or(0.0);
+        let bound = sampling_room(steps.metric, AIM * steps.bound / steps.surprise, cut);
         match steps.metric {
             Metric::Rmse => unseen.squares(self.pixels_total(), confidence).upper <= 0.5 * bound * bound,
             Metric::Max => unseen.missed_above(0.9 * bound) <= 0.5 * (1.0 - confidence),
@@ -336,7 +344,7 @@ impl Job<'_, '_> {
     /// stand out. False if the caller wants no more.
     fn first_step(&mut self, steps: &mut Steps<'_, '_>) -> Result<bool, RenderError> {
         self.step(steps, f64::INFINITY)?;
-        (steps.unseen, steps.first_step) = (Rc::default(), 0);
+        (steps.unseen, steps.looked_at) = (Rc::default(), None);
         let is_cancelled = steps.is_cancelled();
         if let Some(image) = steps.image.as_mut().filter(|_| !is_cancelled) {
             steps.renderer.look_around(&mut image.film);
@@ -354,7 +362,7 @@ impl Job<'_, '_> {
             return Ok(false);
         };
         steps.unseen = unseen;
-        steps.first_step = steps.samples_first;
+        steps.looked_at = Some(steps.samples_first);
         Ok(true)
     }
 
@@ -415,7 +423,7 @@ impl Job<'_, '_> {
             certificate.verdict = if reached <= steps.bound {
                 Verdict::Met
             } else {
-                self.why_missed(image, reached, cut, steps.bound)
+                self.why_missed(image, certificate.missed, [reached, cut, steps.bound])
             };
         }
         Ok(certificate)
@@ -446,7 +454,7 @@ impl Job<'_, '_> {
             // Those that have all the samples they may stay as they are.
             let exhausted = (0..pixels.len()).filter(|&index| !can_go_on(index));
             let exhausted = Deviations::new(exhausted.map(|index| pixels[index].deviation));
-            let least = exhausted.limit(chance, 1.0, f64::INFINITY, &Unseen::default());
+            let least = exhausted.limit(chance, 1.0, f64::INFINITY, &unseen.at(0.0));
             if widest == 0.0 || least > room {
                 return Next::End;
             }
@@ -505,6 +513,10 @@ impl Job<'_, '_> {
         let sum_at = |deviation: f64| open.sum_at(deviation) + missed(deviation);
         let wanted = less * (open.sum_at(f64::INFINITY) + missed(steps.deviation));
         let (mut high, mut low) = (widest, widest * 1e-9);
+        if missed(low) > wanted {
+            // More samples of some do not help.
+            return Next::End;
+        }
         for _ in 0..40 {
             let middle = (high * low).sqrt();
             if sum_at(middle) > wanted { high = middle } else { low = middle }
@@ -561,7 +573,8 @@ impl OpenPixels {
 
 impl Steps<'_, '_> {
     fn is_cancelled(&self) -> bool {
-        self.image.as_ref().is_some_and(|image| image.report.outcome == Outcome::Cancelled)
+        matches!(self.known, Some(Known::Cancelled))
+            || self.image.as_ref().is_some_and(|image| image.report.outcome == Outcome::Cancelled)
     }
 
     /// Expects as much more from here on as a certificate says that was too little.

@@ -73,6 +73,11 @@ impl SampleBlocks {
     pub const EMPTY: SampleBlocks =
         SampleBlocks { sums: [DVec3::ZERO; BLOCKS], samples: 0, block_samples: 1, lost: 0.0 };
 
+    /// How many blocks so many samples are, a power of two.
+    pub fn count_of(samples: u32) -> u32 {
+        samples.min(BLOCKS as u32)
+    }
+
     /// Adds the next sample, with the most that it may lack.
     pub fn add(&mut self, radiance: DVec3, lost: f64) {
         if self.samples as usize == BLOCKS * self.block_samples as usize {

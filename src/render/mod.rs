@@ -39,7 +39,7 @@
 //! ```
 
 mod absorption;
-mod adaptive;
+pub(crate) mod adaptive;
 mod area_lights;
 pub(crate) mod around;
 mod begin;
@@ -107,6 +107,7 @@ pub use report::{Outcome, RenderReport, WaitingReport, WorkerSeconds};
 pub use sampling::Filter;
 pub(crate) use sampling::mix;
 pub use settings::{ParseWaitingRaysError, PathEnd, RenderSettings, WaitingRays};
+pub(crate) use stage::SECOND_SET;
 pub(crate) use tiles::TileGrid;
 pub(crate) use workers::worker_count;
 

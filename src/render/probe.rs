@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 use super::adaptive::SampleBlocks;
-use super::around::look_around;
+use super::around::{Around, look_around};
 use super::counters::EffectCounters;
 use super::film::to_f32;
 use super::paths::{self, PathTracer};
@@ -40,7 +40,7 @@ pub(crate) struct Level {
 #[derive(Clone, Debug)]
 pub(crate) struct ProbedPixel {
     blocks: SampleBlocks,
-    contrast: DVec3,
+    pub around: Around,
     /// From the first samples on, each with twice the samples of the one before.
     pub levels: Vec<Level>,
 }
@@ -59,7 +59,7 @@ impl Level {
 
 impl ProbedPixel {
     fn record(&mut self) {
-        self.levels.push(Level::of(&self.blocks, self.contrast));
+        self.levels.push(Level::of(&self.blocks, self.around.contrast));
     }
 
     /// The level at which adaptive sampling stops, as far as the pixel was probed.
@@ -195,8 +195,8 @@ impl<'s, Q: RayQuery> Probe<'s, Q> {
         for y in area.y - ground.y..area.y - ground.y + area.height {
             for x in area.x - ground.x..area.x - ground.x + area.width {
                 let at = [x as usize, y as usize];
-                let (place, contrast) = (at[1] * size[0] + at[0], look_around(size, at, first).contrast);
-                let mut pixel = ProbedPixel { blocks: blocks[place], contrast, levels: Vec::new() };
+                let (place, around) = (at[1] * size[0] + at[0], look_around(size, at, first));
+                let mut pixel = ProbedPixel { blocks: blocks[place], around, levels: Vec::new() };
                 pixel.record();
                 pixels.push(pixel);
             }

@@ -405,7 +405,7 @@ impl Renderer<'_> {
         }
     }
 
-    /// As many samples again of `pixels`, on `threads`; `None` if `stop` said so.
+    /// The samples that are asked for of `pixels`, on `threads`; `None` if `stop` said so.
     ///
     /// # Errors
     /// As for [`Renderer::render`].

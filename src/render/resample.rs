@@ -1,4 +1,4 @@
-//! As many samples again of some pixels of a finished picture: means that had no say in where sampling stopped.
+//! Further samples of some pixels of a finished picture: means that had no say in where sampling stopped.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -14,18 +14,20 @@ use crate::compile::{Control, Threads};
 use crate::error::{RenderError, TraceError};
 use crate::stats::TraceCounters;
 
-/// A pixel and how many samples it has.
+/// A pixel and which samples of it are taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SampledPixel {
     pub x: u32,
     pub y: u32,
+    /// Number of the first, and how many they are.
+    pub first: u32,
     pub samples: u32,
 }
 
 /// What the further samples say.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Resampled {
-    /// Mean of the samples behind those that each pixel has, as many again; in the order of the pixels.
+    /// Mean of the samples; in the order of the pixels.
     pub means: Vec<DVec3>,
     /// The most that these means may lack, beside them.
     pub lost: Vec<f64>,
@@ -46,7 +48,7 @@ struct Shared<'a> {
     error: Mutex<Option<RenderError>>,
 }
 
-/// Samples `n .. 2 n` of each pixel that has `n`; `None` if `stop` said so. The means do not depend on threads and batches (I2).
+/// The samples that are asked for of each pixel; `None` if `stop` said so. The means do not depend on threads and batches (I2).
 ///
 /// # Errors
 /// One of those that occurred before the threads stopped.
@@ -128,8 +130,8 @@ impl Shared<'_> {
                     break;
                 }
                 paths.trace(batch.iter().map(|&(index, sample)| {
-                    let SampledPixel { x, y, samples } = pixels[index];
-                    PixelSample { x, y, number: samples + sample }
+                    let SampledPixel { x, y, first, .. } = pixels[index];
+                    PixelSample { x, y, number: first + sample }
                 }))?;
                 let found = paths.radiance().iter().zip(paths.lost());
                 for (&(index, _), (radiance, lost)) in batch.iter().zip(found) {

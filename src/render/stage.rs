@@ -142,9 +142,13 @@ pub(crate) struct PixelSample {
     /// Its pixel.
     pub x: u32,
     pub y: u32,
-    /// Which of the pixel's.
+    /// Which of the pixel's, or, with [`SECOND_SET`], of its second set.
     pub number: u32,
 }
+
+/// Added to a sample's number: it is one of a second set of samples of its pixel, which is as well stratified as the first and has nothing to
+/// do with it.
+pub(crate) const SECOND_SET: u32 = 1 << 31;
 
 /// A sample's way into the scene.
 #[derive(Clone, Copy, Debug)]
@@ -506,16 +510,25 @@ impl Stage {
 
     /// A sample's way into the scene: a pure function of scene and settings (I2).
     #[inline(always)]
-    pub fn pixel_sample(&self, PixelSample { x, y, number }: PixelSample) -> CameraSample {
-        let settings = &self.settings;
-        let pixel = self.pixel_number(x, y);
+    pub fn pixel_sample(&self, sample: PixelSample) -> CameraSample {
+        let (settings, PixelSample { x, y, .. }) = (&self.settings, sample);
+        let (pixel, number) = self.named(sample);
         let offset = pixel_offset(settings.seed, pixel, number, settings.samples_per_pixel, settings.filter);
         self.camera_sample(pixel, number, f64::from(x) + offset[0], f64::from(y) + offset[1])
     }
 
     /// What names the random numbers of a sample.
-    pub fn key(&self, PixelSample { x, y, number }: PixelSample) -> SampleKey {
-        SampleKey::new(self.settings.seed, self.pixel_number(x, y), number)
+    pub fn key(&self, sample: PixelSample) -> SampleKey {
+        let (pixel, number) = self.named(sample);
+        SampleKey::new(self.settings.seed, pixel, number)
+    }
+
+    /// A number for the pixel of a sample and its set, and that of the sample.
+    #[inline(always)]
+    fn named(&self, PixelSample { x, y, number }: PixelSample) -> (u64, u32) {
+        // Films have fewer than 2^63 pixels.
+        let set = u64::from(number & SECOND_SET) << 32;
+        (set | self.pixel_number(x, y), number & !SECOND_SET)
     }
 
     fn pixel_number(&self, x: u32, y: u32) -> u64 {

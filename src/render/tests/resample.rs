@@ -1,7 +1,10 @@
 //! A second look at pixels: it goes on where the first ended, on any number of threads.
 
+use glam::Vec3;
+
 use super::invariance::{settings, still_life};
 use super::*;
+use crate::render::SECOND_SET;
 use crate::render::resample::{Resampled, SampledPixel, resample};
 
 /// Pixels here and there with the samples of a picture's first and second doubling, and one with more than a batch.
@@ -11,11 +14,13 @@ fn pixels() -> Vec<SampledPixel> {
         .step_by(7)
         .map(|index| (index, if index % 2 == 0 { 4 } else { 8 }));
     let all = scattered.chain([(5, 64)]);
-    all.map(|(index, samples)| SampledPixel { x: index % settings.width, y: index / settings.width, samples })
+    let width = settings.width;
+    all.map(|(index, samples)| SampledPixel { x: index % width, y: index / width, first: samples, samples })
         .collect()
 }
 
 fn again(
+    pixels: &[SampledPixel],
     settings: &RenderSettings,
     threads: &Threads,
     rays_left: u64,
@@ -26,7 +31,7 @@ fn again(
     let stage = Stage::new(&scene, &mesh.materials, &plan, settings);
     let mesh = Arc::new(mesh);
     let naive = || Ok(Naive { mesh: mesh.clone(), counters: TraceCounters::default(), rays_left });
-    resample(&stage, &pixels(), threads, &naive, stop)
+    resample(&stage, pixels, threads, &naive, stop)
 }
 
 #[test]
@@ -47,7 +52,8 @@ fn further_samples_are_those_of_a_longer_picture() {
         [(Threads::One, 1024), (Threads::Count(3), 1024), (Threads::One, 24), (Threads::Count(2), 1)]
     {
         let settings = RenderSettings { batch_samples, ..long };
-        let found = again(&settings, &threads, u64::MAX, &mut || Control::Continue).unwrap().unwrap();
+        let found =
+            again(&pixels(), &settings, &threads, u64::MAX, &mut || Control::Continue).unwrap().unwrap();
         assert_eq!(found.means.len(), pixels().len());
         for (pixel, mean) in pixels().iter().zip(&found.means) {
             let (first, both) = (of(pixel.samples, pixel), of(2 * pixel.samples, pixel));
@@ -62,16 +68,44 @@ fn further_samples_are_those_of_a_longer_picture() {
     assert!(counted[0].rays() > 0 && counted.iter().all(|effects| *effects == counted[0]));
 }
 
+/// A second set is as good as the first and tells nothing of it: over many pixels the difference of both has the squares of both errors.
+#[test]
+fn a_second_set_has_nothing_to_do_with_the_first() {
+    let (mesh, scene) = still_life();
+    let settings = RenderSettings { adaptive: None, samples_per_pixel: 512, ..settings() };
+    let truth = render(&mesh, &scene, &settings).film;
+    let all = |first: u32, samples: u32| -> Vec<SampledPixel> {
+        let places = (0..settings.width * settings.height)
+            .map(|index| [index % settings.width, index / settings.width]);
+        places.map(|[x, y]| SampledPixel { x, y, first, samples }).collect()
+    };
+    let means = |first: u32| {
+        let go_on = &mut || Control::Continue;
+        again(&all(first, 8), &settings, &Threads::One, u64::MAX, go_on).unwrap().unwrap().means
+    };
+    let truth: Vec<DVec3> = truth.pixels().iter().map(|pixel| Vec3::from(*pixel).as_dvec3()).collect();
+    let square =
+        |a: &[DVec3], b: &[DVec3]| -> f64 { a.iter().zip(b).map(|(a, b)| (*a - *b).length_squared()).sum() };
+    let [first, behind, second] = [0, 8, SECOND_SET].map(means);
+    let (own, other) = (square(&first, &truth), square(&second, &truth));
+    assert!((0.7..1.4).contains(&(other / own)), "{own} and {other}");
+    let between = square(&first, &second) / (own + other);
+    assert!((0.85..1.15).contains(&between), "{between}");
+    // Those behind the first of the same set complement them.
+    let behind = square(&first, &behind) / (own + square(&behind, &truth));
+    assert!(behind > between, "{behind} and {between}");
+}
+
 #[test]
 fn a_second_look_can_be_stopped_and_fails_as_its_queries_do() {
     let long = RenderSettings { samples_per_pixel: 128, batch_samples: 16, ..settings() };
     for threads in [Threads::One, Threads::Count(2)] {
         let mut calls = 0;
-        let stopped = again(&long, &threads, u64::MAX, &mut || {
+        let stopped = again(&pixels(), &long, &threads, u64::MAX, &mut || {
             calls += 1;
             if calls == 3 { Control::Cancel } else { Control::Continue }
         });
         assert!(stopped.unwrap().is_none());
-        assert!(again(&long, &threads, 50, &mut || Control::Continue).is_err());
+        assert!(again(&pixels(), &long, &threads, 50, &mut || Control::Continue).is_err());
     }
 }
