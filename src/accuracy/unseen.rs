@@ -184,7 +184,7 @@ pub(super) fn candidates(
         .collect()
 }
 
-/// The same of a picture with fixed samples, so many.
+/// What [`candidates`] asks of each pixel, for a picture with fixed samples, so many.
 pub(super) fn stands_out(pixels: &[Sampled], width: u32, samples: u32) -> Vec<[f32; 2]> {
     let size = [width as usize, pixels.len() / width.max(1) as usize];
     let first = |x: usize, y: usize| {
@@ -270,7 +270,8 @@ impl Unseen {
 
     /// What a certificate says of it, for a picture of so many pixels.
     pub fn found(&self, pixels_total: u64) -> MissedFeatures {
-        let missed = self.met.iter().map(Met::missed).sum::<f64>();
+        // More than there are pixels there cannot be.
+        let missed = self.met.iter().map(Met::missed).sum::<f64>().min(pixels_total as f64);
         let rmse = self.met.iter().map(Met::square).sum::<f64>() / pixels_total.max(1) as f64;
         // Films have fewer than 2^32 pixels. Sums of nothing are -0.
         MissedFeatures { met: self.met.len() as u32, missed: missed + 0.0, rmse: (rmse + 0.0).sqrt() }
