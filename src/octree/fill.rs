@@ -1,7 +1,7 @@
 //! Builds the fine tree of a decoded block into its slot.
 
 use super::build::{BuildScratch, Groups, LeafSink, build_groups};
-use super::fine::{FineLayout, HEADER_BYTES, Header, LEAF_ROWS};
+use super::fine::{FineLayout, HEADER_BYTES, Header, LEAF_ROWS, ORDINARY, ORDINARY_HALF};
 use super::frame::Frame;
 use super::node::{Child, Node, PLACE_BYTES};
 use super::options::TreeQuality;
@@ -200,12 +200,14 @@ impl<S: Simd> LeafSink<S> for TriangleSink<'_> {
             }
             let offset = self.data.ids[triangle] - self.header.least_id;
             if self.header.long_ids == 1 {
-                (ids[2 * i], ids[2 * i + 1]) = (offset as u32, (offset >> 32) as u32);
+                (ids[2 * i], ids[2 * i + 1]) = (offset as u32 ^ ORDINARY, (offset >> 32) as u32 ^ ORDINARY);
             } else {
-                ids[i] = offset as u32;
+                ids[i] = offset as u32 ^ ORDINARY;
             }
-            materials[i] = self.data.materials[triangle];
+            materials[i] = self.data.materials[triangle] ^ ORDINARY_HALF;
         }
+        // And what fills the leaf up.
+        materials[count..].fill(ORDINARY_HALF);
         edge[0] = simd.to_array(longest).into_iter().fold(0.0, f32::max).to_bits();
         let place = (self.header.leaves_start() + 4 * start) / PLACE_BYTES;
         Child::triangles(place as u32, count as u32)
@@ -270,6 +272,35 @@ mod tests {
             waiting.extend(lanes.map(|lane| node.children[lane]));
         }
         leaves
+    }
+
+    #[test]
+    fn what_kernels_load_behind_the_rows_is_no_subnormal_number() {
+        let (entry, mut data) = sheet();
+        for (index, material) in data.materials.iter_mut().enumerate() {
+            *material = (index % 3) as u16;
+        }
+        let count = data.triangles.len();
+        let layout = FineLayout { expanded: true, scale: 1.0 };
+        let bytes = layout.slot_bytes(count, data.vertices.len(), false).as_usize();
+        // Whether ids fit in 32 bits, and numbers from the least one up.
+        for far in [false, true] {
+            if far {
+                *data.ids.last_mut().unwrap() += 1 << 33;
+            }
+            let mut memory = vec![0u8; bytes + 64];
+            let start = memory.as_ptr().align_offset(64);
+            let slot = &mut memory[start..start + bytes];
+            let mut scratch = BuildScratch::new(count, data.vertices.len());
+            build(SimdLevel::best(), &entry, &data, (layout, TreeQuality::Best), slot, &mut scratch);
+            let leaves_start = bytemuck::from_bytes::<Header>(&slot[..HEADER_BYTES]).leaves_start();
+            let words: &[f32] = bytemuck::cast_slice(&slot[leaves_start..]);
+            assert!(words.iter().any(|word| *word != 0.0));
+            assert!(!words.iter().any(|word| word.is_subnormal()), "{far}");
+            let mut seen: Vec<TriangleId> = leaves(slot).into_iter().flatten().collect();
+            seen.sort();
+            assert!(seen.into_iter().eq(data.ids.iter().map(|id| TriangleId(*id))));
+        }
     }
 
     #[test]
