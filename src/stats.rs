@@ -20,7 +20,8 @@ pub struct TraceCounters {
     pub block_visits: u64,
     /// Blocks read, decoded and built by this thread (depends on cache size and thread count).
     pub blocks_loaded: u64,
-    /// Stored bytes of those blocks (depends on cache size and thread count).
+    /// Stored bytes that were read: of those blocks, and of what a loader read ahead and others brought meanwhile (depends on cache size
+    /// and thread count).
     pub bytes_read: u64,
     /// Triangles decoded with them (depends on cache size and thread count).
     pub triangles_decoded: u64,

@@ -196,7 +196,8 @@ impl<S: Simd> LeafSink<S> for TriangleSink<'_> {
                 column[8 * count] = c[2];
             }
             if !indices.is_empty() {
-                indices[i] = corners;
+                let veil = ORDINARY_HALF * self.header.expanded as u16;
+                indices[i] = corners.map(|corner| corner ^ veil);
             }
             let offset = self.data.ids[triangle] - self.header.least_id;
             if self.header.long_ids == 1 {
@@ -219,7 +220,7 @@ mod tests {
     use super::super::fine::{Fine, TriangleLocation};
     use super::*;
     use crate::geom::Aabb;
-    use crate::units::TriangleId;
+    use crate::units::{MaterialId, TriangleId};
 
     /// A wavy sheet of 2,048 triangles.
     fn sheet() -> (BlockEntry, BlockData) {
@@ -254,8 +255,8 @@ mod tests {
         (entry, data)
     }
 
-    /// The ids in each leaf of the tree in `slot`.
-    fn leaves(slot: &[u8]) -> Vec<Vec<TriangleId>> {
+    /// The triangles in each leaf of the tree in `slot`: ids and materials.
+    fn leaves(slot: &[u8]) -> Vec<Vec<(TriangleId, MaterialId)>> {
         let fine = Fine::new(slot);
         let (groups, used) = fine.groups();
         let mut waiting: Vec<Child> =
@@ -263,8 +264,8 @@ mod tests {
         let mut leaves = Vec::new();
         while let Some(child) = waiting.pop() {
             if child.is_leaf() {
-                let lanes = 0..child.triangle_count();
-                leaves.push(lanes.map(|lane| fine.id(TriangleLocation { leaf: child, lane })).collect());
+                let places = (0..child.triangle_count()).map(|lane| TriangleLocation { leaf: child, lane });
+                leaves.push(places.map(|at| (fine.id(at), fine.material(at))).collect());
                 continue;
             }
             let node = fine.node(child);
@@ -297,9 +298,12 @@ mod tests {
             let words: &[f32] = bytemuck::cast_slice(&slot[leaves_start..]);
             assert!(words.iter().any(|word| *word != 0.0));
             assert!(!words.iter().any(|word| word.is_subnormal()), "{far}");
-            let mut seen: Vec<TriangleId> = leaves(slot).into_iter().flatten().collect();
+            let mut seen: Vec<_> = leaves(slot).into_iter().flatten().collect();
             seen.sort();
-            assert!(seen.into_iter().eq(data.ids.iter().map(|id| TriangleId(*id))));
+            let stored = data.ids.iter().zip(&data.materials);
+            assert!(
+                seen.into_iter().eq(stored.map(|(id, material)| (TriangleId(*id), MaterialId(*material))))
+            );
         }
     }
 
@@ -321,7 +325,7 @@ mod tests {
                     let leaves = leaves(slot);
                     let longest = leaves.iter().map(Vec::len).max().unwrap();
                     assert!(longest <= most, "{longest} of {most}");
-                    let mut ids: Vec<TriangleId> = leaves.into_iter().flatten().collect();
+                    let mut ids: Vec<TriangleId> = leaves.into_iter().flatten().map(|(id, _)| id).collect();
                     ids.sort();
                     assert!(ids.into_iter().eq(data.ids.iter().map(|id| TriangleId(*id))));
                 }

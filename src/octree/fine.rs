@@ -17,7 +17,7 @@
 //! | a bound on the magnitude of its edge components: f32 | 4 | always |
 //! | rows: nine f32 per triangle, `a.x` of all first, then `a.y`, ... `c.z` | 36 n | expanded |
 //! | ids: source ordinals, as offsets from the block's least if all fit in 32 bits, else low and high halves; see [`ORDINARY`] | 4 n or 8 n | always |
-//! | vertex indices: three u16 | 6 n | indexed, or where f32 offsets are not exact |
+//! | vertex indices: three u16; behind rows see [`ORDINARY_HALF`] | 6 n | indexed, or where f32 offsets are not exact |
 //! | materials: u16; see [`ORDINARY_HALF`] | 2 n | always |
 //!
 //! Everything is in native byte order: a slot never leaves the process.
@@ -94,10 +94,11 @@ impl Header {
 
 /// What ids are stored in exclusive or with: kernels load a few words behind the rows, and what is in those lanes is computed with
 /// before it is masked. A small integer is a subnormal f32, on which Intel's processors spend 150 cycles in each multiplication;
-/// with this bit it is a number between 2 and 4.
+/// with this bit those below 2^23 are numbers between 2 and 4. (Offsets from 2^30 to 2^30 + 2^23 are subnormal with it: only time depends
+/// on that.)
 pub(super) const ORDINARY: u32 = 0x4000_0000;
 
-/// The same for materials.
+/// The same for materials, and for vertex indices behind rows.
 pub(super) const ORDINARY_HALF: u16 = (ORDINARY >> 16) as u16;
 
 /// Where the rows of a leaf begin, in bytes from its start: at the same place in all, so that a kernel has nothing to wait for.
@@ -274,8 +275,9 @@ impl<'a> Fine<'a> {
                 self.model_position([rows[6 * count], rows[7 * count], rows[8 * count]]),
             ];
         }
+        let veil = ORDINARY_HALF * header.expanded as u16;
         let [a, b, c] = self.indices(at.leaf)[at.lane];
-        let [a, b, c] = [usize::from(a), usize::from(b), usize::from(c)];
+        let [a, b, c] = [usize::from(a ^ veil), usize::from(b ^ veil), usize::from(c ^ veil)];
         if header.wide == 1 {
             let words = &self.words[header.wide_start() / 4..][..6 * header.vertex_count as usize];
             let vertices: &[[f64; 3]] = bytemuck::cast_slice(words);

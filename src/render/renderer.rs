@@ -566,14 +566,26 @@ pub(super) fn waiting_bytes(stage: &Stage, model: &Model, plan: &WaitingPlan, wo
     /// Requests and what comes of them: small beside a load's scratch.
     const QUEUES: u64 = 64 << 10;
     let of_loader = tracer_bytes_about(model).0 + QUEUES;
-    let loaders = of_loader * u64::from(stage.settings.loader_threads);
+    // What is read ahead takes less than a load.
+    let loads = match stage.settings.loader_threads {
+        0 => 0,
+        threads => u64::from(loads_at_once(threads)) + 1,
+    };
+    let loaders = of_loader * loads;
     Bytes(of_worker.saturating_mul(workers as u64).saturating_add(loaders).saturating_add(stage_bytes(stage)))
 }
 
-/// As many loads at a time as there are threads for them, and as many again to choose the next from.
+/// As many loads at a time as there are threads for them, and one of a pool that has nothing to trace; and as many again to choose
+/// the next from.
 pub(super) fn loader_options(threads: u32) -> LoaderOptions {
     let least = LoaderOptions::default();
-    LoaderOptions { loads_at_once: threads, loads_in_flight: least.loads_in_flight.max(2 * threads) }
+    let loads_in_flight = least.loads_in_flight.max(2 * threads);
+    LoaderOptions { loads_at_once: loads_at_once(threads), loads_in_flight }
+}
+
+/// Loads that run at the same time beside a picture.
+fn loads_at_once(loader_threads: u32) -> u32 {
+    loader_threads.saturating_add(1)
 }
 
 /// What happened between two looks at the same cache.

@@ -116,10 +116,9 @@ impl<'o> InFlight<'o> {
                 return Ok(None);
             }
             let start = Instant::now();
-            let ended = self.queue.wait();
-            let waited = start.elapsed();
-            self.stats.stall += waited;
-            self.stats.loading += waited;
+            let (ended, stall) = self.queue.wait();
+            self.stats.stall += stall;
+            self.stats.loading += start.elapsed();
             self.window = (self.window + 1).min(self.limit);
             self.take_in(ended, suspended, counters)?;
         }

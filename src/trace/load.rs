@@ -36,6 +36,8 @@ impl LoadStats {
 /// Memory for loading one block, allocated once.
 pub(super) struct LoadScratch {
     stored: Vec<u8>,
+    /// The block whose bytes are in `stored` before it is filled.
+    ahead: Option<BlockId>,
     decode: DecodeScratch,
     data: BlockData,
     build: BuildScratch,
@@ -52,6 +54,7 @@ impl LoadScratch {
         let limits = source.model().limits;
         LoadScratch {
             stored: Vec::with_capacity(source.buffer_bytes().as_usize()),
+            ahead: None,
             decode: DecodeScratch::with_limits(limits),
             data: BlockData::with_limits(limits),
             build: BuildScratch::new(limits.triangle_count_max(), limits.vertex_count_max()),
@@ -70,6 +73,17 @@ impl LoadScratch {
         self.stats
     }
 
+    /// Takes the bytes of a block that were read ahead, until [`LoadScratch::forget_ahead`], and gives a buffer for them.
+    pub fn take_ahead(&mut self, block: BlockId, bytes: Vec<u8>) -> Vec<u8> {
+        self.ahead = Some(block);
+        std::mem::replace(&mut self.stored, bytes)
+    }
+
+    /// The next block is read, whichever it is.
+    pub fn forget_ahead(&mut self) {
+        self.ahead = None;
+    }
+
     /// Fills a slot with the tree of `block`.
     fn fill(
         &mut self,
@@ -78,10 +92,12 @@ impl LoadScratch {
         slot: &mut [u8],
         counters: &mut TraceCounters,
     ) -> Result<(), LoadError> {
-        let start = Instant::now();
-        let read = octree.source.read_block(block, &mut self.stored);
-        self.stats.stall += start.elapsed();
-        read?;
+        if self.ahead.take() != Some(block) {
+            let start = Instant::now();
+            let read = read(octree, block, &mut self.stored, counters);
+            self.stats.stall += start.elapsed();
+            read?;
+        }
         let entry = octree.entry(block);
         let entry = entry.ok_or(BlockError { block, offset: 0, reason: "the model has no such block" })?;
         octree.model.decode_entry(block, entry, &self.stored, &mut self.decode, &mut self.data)?;
@@ -91,10 +107,21 @@ impl LoadScratch {
             self.filled.push(block);
         }
         counters.blocks_loaded += 1;
-        counters.bytes_read += self.stored.len() as u64;
         counters.triangles_decoded += self.data.triangles.len() as u64;
         Ok(())
     }
+}
+
+/// Reads the bytes of a block.
+pub(super) fn read(
+    octree: &LazyOctree,
+    block: BlockId,
+    into: &mut Vec<u8>,
+    counters: &mut TraceCounters,
+) -> Result<(), LoadError> {
+    octree.source.read_block(block, into)?;
+    counters.bytes_read += into.len() as u64;
+    Ok(())
 }
 
 /// Pinned blocks, found by the low bits of their number: entering a block again costs no atomic operation.

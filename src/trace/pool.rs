@@ -224,8 +224,8 @@ impl<'o> RayPool<'o> {
     /// of closest-hit queries no more than have room for their children ([`PoolOptions::children`]), but one if there is nothing
     /// else; appends to `answers`. Returns whether rays waited when it was called.
     ///
-    /// With a loader, it asks for the next blocks and runs the rays of one that has arrived; it waits if none
-    /// has.
+    /// With a loader, it asks for the next blocks and runs the rays of one that has arrived. If none has, this thread takes part in
+    /// loading, of what other pools asked for too, or waits.
     ///
     /// # Errors
     /// As for [`RayPool::closest_hits`], for any load that was asked for.
