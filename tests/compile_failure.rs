@@ -217,6 +217,14 @@ fn options_that_make_no_sense_are_refused() {
     }
 }
 
+/// Gives a material and four vertices, of which the last is not finite.
+fn begin_with_a_bad_vertex(sink: &mut dyn MeshSink) {
+    sink.material(MaterialRecord::default()).unwrap();
+    let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [f32::NAN, 0.0, 0.0]];
+    sink.vertices(VertexBatch::Float32(&vertices)).unwrap();
+    sink.vertices_complete().unwrap();
+}
+
 #[test]
 fn what_comes_after_an_error_of_a_thread_is_refused() {
     let place = Place::new();
@@ -224,10 +232,7 @@ fn what_comes_after_an_error_of_a_thread_is_refused() {
     let options = CompileOptions { threads: Threads::Count(2), ..CompileOptions::default() };
     let mut progress = |_| Control::Continue;
     let mut compiler = Compiler::new(place.output(), options, &budget, &mut progress).unwrap();
-    compiler.material(MaterialRecord::default()).unwrap();
-    let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [f32::NAN, 0.0, 0.0]];
-    compiler.vertices(VertexBatch::Float32(&vertices)).unwrap();
-    compiler.vertices_complete().unwrap();
+    begin_with_a_bad_vertex(&mut compiler);
     compiler.triangles(&[[0, 1, 3]], MaterialId(0)).unwrap();
     // The thread that meets the first triangle stops; when that shows depends on the threads.
     let batch = vec![[0, 1, 2]; 16 << 10];
@@ -252,10 +257,7 @@ fn what_comes_after_an_error_is_refused() {
     let options = CompileOptions { threads: Threads::One, ..CompileOptions::default() };
     let mut progress = |_| Control::Continue;
     let mut compiler = Compiler::new(place.output(), options, &budget, &mut progress).unwrap();
-    compiler.material(MaterialRecord::default()).unwrap();
-    let vertices = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [f32::NAN, 0.0, 0.0]];
-    compiler.vertices(VertexBatch::Float32(&vertices)).unwrap();
-    compiler.vertices_complete().unwrap();
+    begin_with_a_bad_vertex(&mut compiler);
     let mut batch = vec![[0, 1, 2]; 16 << 10];
     // Nothing of these is taken, and nothing is lost.
     assert!(compiler.triangles(&[[0, 1, 4]], MaterialId(0)).is_err());

@@ -3,6 +3,8 @@
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
+use glam::DVec3;
+
 use super::certificate::{Certificate, CutOffBounds, GeometryBounds, GoalSeconds, Verdict};
 use super::check::{self, SamplingCheck};
 use super::estimate::{MeanSquare, Pixels, Sampled, cut_off, estimate};
@@ -435,15 +437,10 @@ impl Job<'_, '_> {
         let statistics = image.film.statistics().unwrap_or_default();
         let seed = self.settings.seed;
         let (drawn, places) = check::draw(pixels, statistics, image.film.width(), seed, self.looks);
-        let (attempt, told) = (self.counters.attempts, &mut *self.progress);
-        let progress = whole(image);
-        let mut stop = || told(GoalProgress { attempt, progress });
-        let Some(again) = renderer.resample(&places, self.threads, &mut stop)? else {
+        let Some(further) = self.sample_again(renderer, image, &places)? else {
             return Ok(Known::Cancelled);
         };
-        self.counters.effects.merge(&again.effects);
-        self.counters.trace.merge(&again.trace);
-        let further = again.means.iter().map(|mean| mean.to_array());
+        let further = further.iter().map(|mean| mean.to_array());
         let squares = check::mean_square(pixels, &drawn, further, missed, confidence);
         let is_same = squares.value == halves.value;
         // Infinite where single samples have no halves.
@@ -480,14 +477,25 @@ impl Job<'_, '_> {
             return Ok(Some(Rc::default()));
         }
         let places: Vec<SampledPixel> = candidates.iter().map(|candidate| candidate.place).collect();
+        let Some(further) = self.sample_again(renderer, image, &places)? else { return Ok(None) };
+        let further = further.iter().map(|mean| mean.to_array());
+        Ok(Some(Rc::new(Unseen::of(pixels, width, samples, &candidates, further))))
+    }
+
+    /// The means of further samples of some pixels; `None` if the caller did not want to wait.
+    fn sample_again(
+        &mut self,
+        renderer: &Renderer<'_>,
+        image: &RenderedImage,
+        places: &[SampledPixel],
+    ) -> Result<Option<Vec<DVec3>>, RenderError> {
         let (attempt, told) = (self.counters.attempts, &mut *self.progress);
         let progress = whole(image);
         let mut stop = || told(GoalProgress { attempt, progress });
-        let Some(again) = renderer.resample(&places, self.threads, &mut stop)? else { return Ok(None) };
+        let Some(again) = renderer.resample(places, self.threads, &mut stop)? else { return Ok(None) };
         self.counters.effects.merge(&again.effects);
         self.counters.trace.merge(&again.trace);
-        let further = again.means.iter().map(|mean| mean.to_array());
-        Ok(Some(Rc::new(Unseen::of(pixels, width, samples, &candidates, further))))
+        Ok(Some(again.means))
     }
 }
 
