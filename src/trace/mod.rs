@@ -68,6 +68,7 @@ mod stack;
 mod suspended;
 mod together;
 mod tracer;
+mod way;
 
 pub(crate) use closest::lanes_in_use;
 pub use crossings::Crossing;

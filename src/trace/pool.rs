@@ -5,8 +5,9 @@ use super::closest::{Prepared, closest_hit};
 use super::in_flight::{Arrival, InFlight};
 use super::loader::BlockLoader;
 use super::policy::Policy;
-use super::suspended::{Query, SuspendedRays, turns_back};
+use super::suspended::{Query, SuspendedRays};
 use super::tracer::{Query as Kernel, enter};
+use super::way::Way;
 use super::{Answers, AnyRequest, ClosestRequest, LoadStats, MaterialSet, OnMissing, Tracer};
 use crate::access::{BlockSketch, QueryKind};
 use crate::budget::Reservation;
@@ -57,8 +58,8 @@ impl PoolOptions {
 /// Answers queries on one thread, in whatever order costs the fewest block loads.
 ///
 /// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded. Blocks are loaded in
-/// turn, in the order of the file (to and fro, if many of them are in memory at once), those for which little waits in a later
-/// turn. What waits for a block then runs, unless room is short ([`PoolOptions::children`]). There are no rounds: rays may be added
+/// turn, in the order of the file (or, if many of them are in memory at once, to and fro by planes through the model), those for which
+/// little waits in a later turn. What waits for a block then runs, unless room is short ([`PoolOptions::children`]). There are no rounds: rays may be added
 /// at any time, and so can those that answers lead to.
 ///
 /// Answers are those of a [`Tracer`], whatever the pool's size and order (I2). When the pool is full, rays load what
@@ -155,7 +156,6 @@ impl<'o> RayPool<'o> {
     ) -> Result<RayPool<'o>, TraceError> {
         let tracer = octree.tracer()?;
         let block_count = octree.model().block_id_count() as usize;
-        let turns_back = turns_back(octree.cache.slot_count(), octree.model().expected_block_count());
         let bytes = RayPool::bytes_needed(&options, block_count);
         let reservation = octree.budget.reserve(bytes, "a pool of suspended rays")?;
         Ok(RayPool {
@@ -165,7 +165,7 @@ impl<'o> RayPool<'o> {
                 block_count,
                 InFlight::MAX,
                 options.kept_free(),
-                turns_back,
+                Way::through(octree),
             ),
             wanted: options.suspended,
             children: options.children,

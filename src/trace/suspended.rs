@@ -3,6 +3,7 @@
 
 use super::Hit;
 use super::any::Unvisited;
+use super::way::Way;
 use crate::geom::Ray;
 use crate::units::{BlockId, Bytes, TriangleId};
 
@@ -59,13 +60,6 @@ impl List {
 /// A block is passed over while another is worth more than so many times as much.
 const SHARE_MIN: u64 = 32;
 
-/// Whether the way through a file of so many blocks, of which `slot_count` are in memory at once, is to turn back at its ends: then
-/// the blocks that come next are those that were loaded last. With less than a twelfth in memory that is worth less than what it
-/// costs, that blocks near the ends come twice in a row.
-pub(super) fn turns_back(slot_count: u32, block_count: u32) -> bool {
-    slot_count >= block_count / 12
-}
-
 /// How far from the last choice the next is looked for: so that it takes less time than a load, however large the model.
 const STEPS_MAX: u32 = 1 << 16;
 
@@ -88,22 +82,19 @@ pub(super) struct SuspendedRays {
     loading: Vec<BlockId>,
     /// Where there is less room, blocks are chosen by how many rays end there.
     kept_free: u32,
-    /// Whether the way through the file turns back at its ends, rather than to begin anew.
-    turns_back: bool,
-    /// The block that was chosen last, and whether blocks before it in the file come next.
-    chosen: u32,
-    goes_back: bool,
+    /// Where the block that was chosen last lies, and which come next.
+    way: Way,
 }
 
 impl SuspendedRays {
     /// Room for `capacity` rays, blocks whose numbers are below `block_count`, and `loading_max` of them on their way in.
-    /// `kept_free`: places below which room is short. `turns_back`: see [`turns_back`].
+    /// `kept_free`: places below which room is short. `way`: through all of these blocks.
     pub fn new(
         capacity: u32,
         block_count: usize,
         loading_max: u32,
         kept_free: u32,
-        turns_back: bool,
+        way: Way,
     ) -> SuspendedRays {
         SuspendedRays {
             records: Vec::with_capacity(capacity as usize),
@@ -118,17 +109,16 @@ impl SuspendedRays {
             heap: Vec::with_capacity(capacity as usize),
             loading: Vec::with_capacity(loading_max as usize),
             kept_free,
-            turns_back,
-            chosen: 0,
-            goes_back: false,
+            way,
         }
     }
 
-    /// What [`SuspendedRays::new`] allocates.
+    /// What [`SuspendedRays::new`] and its way allocate.
     pub fn bytes_needed(capacity: u32, block_count: usize, loading_max: u32) -> Bytes {
         let per_ray = size_of::<Record>() + size_of::<Queue>() + size_of::<u32>();
         let per_load = size_of::<BlockId>() as u64 * u64::from(loading_max);
-        Bytes(u64::from(capacity) * per_ray as u64 + (block_count * size_of::<u32>()) as u64 + per_load)
+        let per_block = (block_count * size_of::<u32>()) as u64 + Way::bytes_needed(block_count);
+        Bytes(u64::from(capacity) * per_ray as u64 + per_block + per_load)
     }
 
     /// How many rays wait.
@@ -257,13 +247,11 @@ impl SuspendedRays {
         self.queue_of[block.0 as usize] != NONE
     }
 
-    /// The block to load next, of those that rays wait for and that are not on their way in: the next one from the one chosen last, in
-    /// the order of the file, that is worth at least 1 / [`SHARE_MIN`] of what the best is worth. That is its weight, or, where
+    /// The block to load next, of those that rays wait for and that are not on their way in: the next one from the one chosen last, on
+    /// the [`Way`], that is worth at least 1 / [`SHARE_MIN`] of what the best is worth. That is its weight, or, where
     /// little room is left, how many any-hit queries it has, as those lead to no others.
     ///
-    /// Neighbours in the file are neighbours in space. A ray that leaves a block mostly waits for a neighbour, so going through the
-    /// file lets it pass several blocks in one turn, where blocks chosen by weight alone make it wait half a turn for each. Light
-    /// queues are left for a later turn.
+    /// Light queues are left for a later turn.
     pub fn choose(&mut self) -> Option<BlockId> {
         let heaviest = *self.heap.first()?;
         let is_short = self.room() < self.kept_free;
@@ -275,36 +263,17 @@ impl SuspendedRays {
             heaviest
         };
         let least = worth(&queue(best)).div_ceil(SHARE_MIN);
-        let last = self.queue_of.len() as u32 - 1;
-        let (mut block, mut goes_back) = (self.chosen, self.goes_back);
-        // All blocks: once round, or to one end and then to the other.
-        let mut steps = last.saturating_mul(2).saturating_add(1).min(STEPS_MAX);
-        loop {
-            if block == (if goes_back { 0 } else { last }) {
-                if self.turns_back {
-                    goes_back = !goes_back;
-                } else {
-                    block = 0;
-                }
-            } else if goes_back {
-                block -= 1;
-            } else {
-                block += 1;
-            }
-            if let Some(queue) = self.queues.get(self.queue_of[block as usize] as usize)
+        let best = queue(best).block;
+        for _ in 0..self.way.steps().min(STEPS_MAX) {
+            let block = self.way.step();
+            if let Some(queue) = self.queues.get(self.queue_of[block.0 as usize] as usize)
                 && queue.heap_place != NONE
                 && worth(queue) >= least
             {
-                break;
-            }
-            steps -= 1;
-            if steps == 0 {
-                block = queue(best).block.0;
-                break;
+                return Some(block);
             }
         }
-        (self.chosen, self.goes_back) = (block, goes_back);
-        Some(BlockId(block))
+        Some(best)
     }
 
     /// From now on `block` is on its way in, whether rays wait for it or not.
@@ -429,7 +398,13 @@ mod tests {
         const CAPACITY: u32 = 50;
         const BLOCKS: u32 = 12;
         const KEPT_FREE: u32 = 5;
-        let mut suspended = SuspendedRays::new(CAPACITY, BLOCKS as usize, BLOCKS, KEPT_FREE, turns_back);
+        let mut suspended = SuspendedRays::new(
+            CAPACITY,
+            BLOCKS as usize,
+            BLOCKS,
+            KEPT_FREE,
+            Way::of_file(BLOCKS as usize, turns_back),
+        );
         // By block: (tag, weight) of closest-hit and any-hit queries.
         let mut twin: HashMap<u32, [VecDeque<(u64, u32)>; 2]> = HashMap::new();
         let mut state = 7u64;
