@@ -92,7 +92,17 @@ fn plane(block: &Aabb, model: &Aabb) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::MemoryBudget;
+    use crate::block::{BlockLimits, Codec};
+    use crate::geom::Precision;
+    use crate::octree::OctreeOptions;
+    use crate::procedural::random::Random;
+    use crate::source::testing::memory_model;
+    use crate::source::{BlockSource, MemorySource};
+    use crate::units::Bytes;
 
     fn blocks(way: &mut Way, count: usize) -> Vec<u32> {
         (0..count).map(|_| way.step().0).collect()
@@ -104,7 +114,7 @@ mod tests {
         assert_eq!(blocks(&mut anew, 6), [1, 2, 3, 0, 1, 2]);
         let mut back = Way::of_file(4, true);
         assert_eq!(blocks(&mut back, 9), [1, 2, 3, 3, 2, 1, 0, 0, 1]);
-        let order = [2, 0, 3, 1].map(u64::from).to_vec();
+        let order = vec![2, 0, 3, 1];
         let mut planes = Way { order, ..Way::of_file(4, true) };
         assert_eq!(blocks(&mut planes, 9), [0, 3, 1, 1, 3, 0, 2, 2, 0]);
         for way in [&mut anew, &mut back, &mut planes] {
@@ -115,6 +125,31 @@ mod tests {
             assert_eq!(passed, [0, 1, 2, 3]);
         }
         assert_eq!(blocks(&mut Way::of_file(1, true), 3), [0, 0, 0]);
+    }
+
+    #[test]
+    fn a_way_goes_by_planes_where_it_turns_back() {
+        let mut random = Random::new(5);
+        let mut corner = || [0; 3].map(|_| (random.next_u64() % 1024) as f64);
+        let triangles: Vec<[[f64; 3]; 3]> = (0..4000).map(|_| [0; 3].map(|_| corner())).collect();
+        let limits = BlockLimits { block_bytes_max: 4096 };
+        let bytes = memory_model(&triangles, limits, Codec::Raw, Precision::Float32).unwrap();
+        let source = Arc::new(MemorySource::new(bytes).unwrap());
+        let block_count = source.model().block_id_count();
+        assert!(block_count > 24);
+        for slots in [block_count / 12 - 1, block_count / 12, block_count] {
+            let budget = MemoryBudget::new(Bytes::mib(64));
+            let options = OctreeOptions { slots_max: Some(slots), ..OctreeOptions::default() };
+            let octree = LazyOctree::open(source.clone(), &budget, options).unwrap();
+            let mut way = Way::through(&octree);
+            assert_eq!(way.turns_back, slots >= block_count / 12);
+            let passed: Vec<BlockId> = (1..block_count).map(|_| way.step()).collect();
+            let place = |block: &BlockId| match way.turns_back {
+                true => plane(&octree.entry(*block).unwrap().bounds, &octree.model().bounds),
+                false => block.0,
+            };
+            assert!(passed.iter().map(place).is_sorted(), "{slots} slots");
+        }
     }
 
     #[test]
