@@ -154,8 +154,9 @@ impl MeanSquare {
     }
 }
 
-/// How far a sum of positive terms may lie below what it estimates, from its variance and the sum of their cubes. The second part is for skewness (Johnson 1978): few large terms make a sum that is mostly too low. It is about the
-/// largest term once more: one like it may have been missed.
+/// How far a sum of positive terms may lie below what it estimates, from its variance and the sum of their cubes. The second part
+/// is for skewness (Johnson 1978): few large terms make a sum that is mostly too low. It is about the largest term once more: one
+/// like it may have been missed.
 fn margin(squares: f64, cubes: f64, quantile: f64) -> f64 {
     if squares <= 0.0 {
         return 0.0;

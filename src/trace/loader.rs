@@ -315,9 +315,6 @@ impl<'o> BlockLoader<'o> {
     fn read_ahead(&self) -> bool {
         let shared = &*self.shared;
         let mut state = shared.state.lock();
-        if !state.can_read_ahead() {
-            return false;
-        }
         let Some(mut bytes) = state.buffers.pop() else { return false };
         let Some(request) = state.begin_request(None) else {
             state.buffers.push(bytes);

@@ -64,6 +64,8 @@ mod loader;
 mod policy;
 mod pool;
 mod requests;
+#[cfg(test)]
+mod small_model;
 mod stack;
 mod suspended;
 mod together;

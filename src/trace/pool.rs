@@ -59,8 +59,8 @@ impl PoolOptions {
 ///
 /// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded. Blocks are loaded in
 /// turn, in the order of the file (or, if many of them are in memory at once, to and fro by planes through the model), those for which
-/// little waits in a later turn. What waits for a block then runs, unless room is short ([`PoolOptions::children`]). There are no rounds: rays may be added
-/// at any time, and so can those that answers lead to.
+/// little waits in a later turn. What waits for a block then runs, unless room is short ([`PoolOptions::children`]). There are no
+/// rounds: rays may be added at any time, and so can those that answers lead to.
 ///
 /// Answers are those of a [`Tracer`], whatever the pool's size and order (I2). When the pool is full, rays load what
 /// they need, depth first: nothing fails and nothing grows.

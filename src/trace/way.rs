@@ -96,12 +96,9 @@ mod tests {
 
     use super::*;
     use crate::MemoryBudget;
-    use crate::block::{BlockLimits, Codec};
-    use crate::geom::Precision;
     use crate::octree::OctreeOptions;
-    use crate::procedural::random::Random;
-    use crate::source::testing::memory_model;
-    use crate::source::{BlockSource, MemorySource};
+    use crate::source::BlockSource;
+    use crate::trace::small_model::small_blocks;
     use crate::units::Bytes;
 
     fn blocks(way: &mut Way, count: usize) -> Vec<u32> {
@@ -129,12 +126,7 @@ mod tests {
 
     #[test]
     fn a_way_goes_by_planes_where_it_turns_back() {
-        let mut random = Random::new(5);
-        let mut corner = || [0; 3].map(|_| (random.next_u64() % 1024) as f64);
-        let triangles: Vec<[[f64; 3]; 3]> = (0..4000).map(|_| [0; 3].map(|_| corner())).collect();
-        let limits = BlockLimits { block_bytes_max: 4096 };
-        let bytes = memory_model(&triangles, limits, Codec::Raw, Precision::Float32).unwrap();
-        let source = Arc::new(MemorySource::new(bytes).unwrap());
+        let source = Arc::new(small_blocks(4000, 5));
         let block_count = source.model().block_id_count();
         assert!(block_count > 24);
         for slots in [block_count / 12 - 1, block_count / 12, block_count] {

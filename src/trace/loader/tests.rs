@@ -4,14 +4,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;
 use crate::MemoryBudget;
-use crate::block::{BlockLimits, Codec};
 use crate::error::SourceError;
-use crate::geom::Precision;
 use crate::model::Model;
 use crate::octree::OctreeOptions;
-use crate::procedural::random::Random;
 use crate::source::MemorySource;
-use crate::source::testing::memory_model;
+use crate::trace::small_model::small_blocks;
 
 /// Counts reads; one of them may panic.
 struct Counting {
@@ -34,14 +31,8 @@ impl BlockSource for Counting {
     }
 }
 
-const LIMITS: BlockLimits = BlockLimits { block_bytes_max: 4096 };
-
 fn counting(panics_at: u64) -> Arc<Counting> {
-    let mut random = Random::new(3);
-    let mut corner = || [0; 3].map(|_| (random.next_u64() % 1024) as f64);
-    let triangles: Vec<[[f64; 3]; 3]> = (0..1000).map(|_| [0; 3].map(|_| corner())).collect();
-    let bytes = memory_model(&triangles, LIMITS, Codec::Raw, Precision::Float32).unwrap();
-    Arc::new(Counting { source: MemorySource::new(bytes).unwrap(), reads: AtomicU64::new(0), panics_at })
+    Arc::new(Counting { source: small_blocks(1000, 3), reads: AtomicU64::new(0), panics_at })
 }
 
 fn open(source: &Arc<Counting>) -> LazyOctree {
