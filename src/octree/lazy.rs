@@ -45,6 +45,8 @@ pub struct LazyOctree {
     pub(crate) accesses: Option<Arc<AccessRecorder>>,
     tracers_max: u32,
     tracer_count: AtomicU32,
+    /// Whether no block that was loaded has to make room for another one.
+    keeps_all_blocks: bool,
     _directory: Reservation,
 }
 
@@ -108,7 +110,9 @@ impl LazyOctree {
         let slot_bytes = parts.slot_bytes(expanded);
         let follow = options.follow_free_memory.map(|follow| (follow, slots_least));
         let cache = options.policy.cache(slot_count, slot_bytes, block_count, budget, follow)?;
-        Ok(parts.finish(source, cache, expanded, budget, &options))
+        // A cache that follows the free memory may shrink.
+        let keeps_all_blocks = slot_count == block_count && options.follow_free_memory.is_none();
+        Ok(parts.finish(source, cache, expanded, keeps_all_blocks, budget, &options))
     }
 
     /// Opens an octree over a cache that the caller made, for example with a replacement policy of its own. The cache must
@@ -139,7 +143,8 @@ impl LazyOctree {
         if slot_count < slots_least {
             return Err(TraceError::TooFewSlots { slot_count, needed: slots_least });
         }
-        Ok(parts.finish(source, cache, expanded, budget, &options))
+        // The caller's cache may shrink.
+        Ok(parts.finish(source, cache, expanded, false, budget, &options))
     }
 
     /// From now on, tracers write down which blocks each of their queries enters; see [`access`](crate::access). Call
@@ -160,10 +165,13 @@ impl LazyOctree {
         Ok(recorder)
     }
 
-    /// How many blocks a tracer keeps pinned: a quarter of its share of the slots, so that most slots stay free to be
-    /// replaced, as a power of two from 1 to 64.
+    /// How many blocks a tracer keeps pinned, as a power of two from 1 to 64: a quarter of its share of the slots, so that most
+    /// slots stay free to be replaced; if there is a slot for every block for good, as many as there are blocks.
     pub fn pins_per_tracer(&self) -> u32 {
         const PIN_COUNT_MAX: u32 = 64;
+        if self.keeps_all_blocks {
+            return self.model.block_id_count().clamp(1, PIN_COUNT_MAX).next_power_of_two();
+        }
         let share = self.cache.slot_count() / self.tracers_max.max(1).saturating_mul(4);
         1 << share.clamp(1, PIN_COUNT_MAX).ilog2()
     }
@@ -306,6 +314,7 @@ impl Parts {
         source: Arc<dyn BlockSource>,
         cache: Arc<dyn GeometryCache>,
         expanded: bool,
+        keeps_all_blocks: bool,
         budget: &MemoryBudget,
         options: &OctreeOptions,
     ) -> LazyOctree {
@@ -324,6 +333,7 @@ impl Parts {
             budget: budget.clone(),
             tracers_max: options.tracers_max,
             tracer_count: AtomicU32::new(0),
+            keeps_all_blocks,
             _directory: self.directory,
         }
     }

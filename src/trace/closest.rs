@@ -37,11 +37,11 @@ pub(super) struct Closest<'r, S: Simd, P: Policy, K: Keep> {
     pub local: &'r mut LocalRay,
     /// What the policy needs of the ray.
     pub prepared: P::Ray<S>,
-    /// Holds the part of the ray where hits would be kept, in the coarse tree's frame. Single numbers, like those of the ray:
-    /// see [`BoxRay`](crate::simd::BoxRay).
+    /// Where the part of the ray begins where hits would be kept, in the coarse tree's frame. A single number, like those of the
+    /// ray: see [`BoxRay`](crate::simd::BoxRay).
     pub low: f32,
-    pub high: f32,
-    /// What waits beyond `high` need not be visited.
+    /// Where it ends. What waits beyond need not be visited. There is no second copy of that number beside `low`: the two would be
+    /// written one by one and read at once, for which a processor waits until both are in its cache.
     pub limit: Limit,
     /// Whether blocks have the frame of the coarse tree.
     pub shares_frame: bool,
@@ -93,7 +93,6 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
         prepared: P::prepare(simd, work.octree.tier, &local.test.triangles),
         local,
         low,
-        high,
         limit: Limit::new(high),
         shares_frame: work.octree.space.is_shared,
         query,
@@ -262,7 +261,7 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
     /// The part of the ray where hits would be kept.
     #[inline(always)]
     pub fn interval(&self, simd: S) -> Interval<S::F> {
-        splat_interval(simd, self.low, self.high)
+        splat_interval(simd, self.low, self.limit.high())
     }
 
     #[inline(always)]
@@ -319,8 +318,7 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
         if end < f64::MAX {
             self.t_max = end;
         }
-        let high = self.query.local_high(end);
-        (self.high, self.limit) = (high, Limit::new(high));
+        self.limit = Limit::new(self.query.local_high(end));
     }
 }
 

@@ -39,6 +39,12 @@ impl Limit {
     pub fn new(high: f32) -> Limit {
         Limit(Entry::new(high, Child::NONE))
     }
+
+    /// Where the last entries begin that matter.
+    #[inline(always)]
+    pub fn high(self) -> f32 {
+        self.0.near()
+    }
 }
 
 /// Room for the children that wait in both levels.

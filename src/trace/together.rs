@@ -48,7 +48,6 @@ pub(super) fn closest_hits_together<S: Simd, P: Policy>(
             prepared: P::prepare(simd, work.octree.tier, &local.test.triangles),
             local,
             low,
-            high,
             limit: Limit::new(high),
             shares_frame: true,
             query,
@@ -232,5 +231,8 @@ pub(super) fn occlusions_together<S: Simd, P: Policy>(
 /// The end of the ray that ends last.
 #[inline(always)]
 fn last_high<S: Simd, P: Policy>(queries: &[Closest<'_, S, P, Option<Hit>>]) -> f32 {
-    queries.iter().fold(0.0, |most, query| if query.high > most { query.high } else { most })
+    queries.iter().fold(0.0, |most, query| {
+        let high = query.limit.high();
+        if high > most { high } else { most }
+    })
 }
