@@ -14,7 +14,7 @@ use super::lookup::{AsFloat32, AsLattice, Form};
 use super::options::{
     CompileOptions, CompileReport, Control, Phase, PhaseSeconds, PrecisionChoice, Progress, Threads,
 };
-use super::output::{Output, directory_of, name_of};
+use super::output::Output;
 use super::parallel::{Worker, encode_buckets};
 use super::placer::Placer;
 use super::point::Point;
@@ -22,7 +22,7 @@ use super::precision::{Decision, RoundingWatch, coarsest_lattice, shortest_squar
 use super::refine::{refine, triangle_count};
 use super::scatter::{self, Scatter, Scattered};
 use super::spill::SpillPlace;
-use super::temporary::DiskQuota;
+use super::temporary::{DiskQuota, directory_of, name_of};
 use super::vertices::{Keep, VertexStore, unknown_vertex};
 use crate::block::BlockLimits;
 use crate::budget::{MemoryBudget, Reservation};

@@ -53,3 +53,4 @@ pub use options::{
 pub use shape::compile_shape;
 
 pub(crate) use file_lock::open_locked;
+pub(crate) use temporary::{TemporaryFile, WriteError, write_at};

@@ -1,6 +1,5 @@
 //! The compiled file while it is written: under a temporary name, its header last.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use super::blocks::EncodedBucket;
@@ -87,7 +86,7 @@ impl Output {
         budget: &MemoryBudget,
     ) -> Result<Output, CompileError> {
         let writer = ModelWriter::new(precision, limits)?;
-        let file = TemporaryFile::create(&directory_of(path), &name_of(path), ".partial")?;
+        let file = TemporaryFile::beside(path, ".partial")?;
         Ok(Output {
             path: path.to_path_buf(),
             file,
@@ -209,17 +208,4 @@ impl Output {
             duplicates: self.duplicates,
         })
     }
-}
-
-/// The directory that holds `path`.
-pub(super) fn directory_of(path: &Path) -> PathBuf {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
-        _ => PathBuf::from("."),
-    }
-}
-
-/// The last part of `path`.
-pub(super) fn name_of(path: &Path) -> OsString {
-    path.file_name().map_or_else(|| OsString::from("model"), OsString::from)
 }

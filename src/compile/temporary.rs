@@ -39,18 +39,36 @@ impl DiskQuota {
     }
 }
 
+/// What could not be written, and why.
+#[derive(Debug)]
+pub(crate) struct WriteError {
+    pub path: PathBuf,
+    pub error: io::Error,
+}
+
+impl From<WriteError> for CompileError {
+    fn from(WriteError { path, error }: WriteError) -> CompileError {
+        CompileError::Write { path, error }
+    }
+}
+
 /// An open file that is removed when dropped, unless it was published.
 #[derive(Debug)]
-pub(super) struct TemporaryFile {
+pub(crate) struct TemporaryFile {
     file: Option<File>,
     path: PathBuf,
     unlinked: bool,
 }
 
 impl TemporaryFile {
-    /// Creates `<dir>/<name><suffix>`, or the same with a number if that one is in use by a live compile. The lock on the
+    /// One in the folder of `path`, with the suffix behind its name.
+    pub fn beside(path: &Path, suffix: &str) -> Result<TemporaryFile, WriteError> {
+        TemporaryFile::create(&directory_of(path), &name_of(path), suffix)
+    }
+
+    /// Creates `<dir>/<name><suffix>`, or the same with a number if that one is in use by somebody alive. The lock on the
     /// file tells live from stale: the system drops it with the process, however that ends.
-    pub(super) fn create(dir: &Path, name: &OsString, suffix: &str) -> Result<TemporaryFile, CompileError> {
+    pub fn create(dir: &Path, name: &OsString, suffix: &str) -> Result<TemporaryFile, WriteError> {
         let mut path = PathBuf::new();
         for number in 0..NAMES_MAX {
             let mut full = name.clone();
@@ -59,35 +77,35 @@ impl TemporaryFile {
                 full.push(format!("-{number}"));
             }
             path = dir.join(full);
-            let write = |error| CompileError::Write { path: path.clone(), error };
+            let write = |error| WriteError { path: path.clone(), error };
             let Some(file) = open_locked(&path).map_err(write)? else { continue };
             file.set_len(0).map_err(write)?;
             return Ok(TemporaryFile { file: Some(file), path, unlinked: false });
         }
         let error = io::Error::new(io::ErrorKind::AlreadyExists, "all temporary names are in use");
-        Err(CompileError::Write { path, error })
+        Err(WriteError { path, error })
     }
 
-    pub(super) fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         &self.path
     }
 
-    pub(super) fn file(&self) -> &File {
+    pub fn file(&self) -> &File {
         // Only `publish` takes the file out, and it consumes self.
         self.file.as_ref().expect("open until published")
     }
 
     /// Takes the name away at once, so that the system frees the space even if this process is killed. Where the
     /// system refuses, the file is removed on drop instead.
-    pub(super) fn unlink(&mut self) {
+    pub fn unlink(&mut self) {
         if cfg!(unix) && fs::remove_file(&self.path).is_ok() {
             self.unlinked = true;
         }
     }
 
     /// Makes the bytes durable and gives the file its final name, replacing what is there.
-    pub(super) fn publish(mut self, path: &Path) -> Result<(), CompileError> {
-        let write = |error| CompileError::Write { path: path.to_path_buf(), error };
+    pub fn publish(mut self, path: &Path) -> Result<(), WriteError> {
+        let write = |error| WriteError { path: path.to_path_buf(), error };
         self.file().sync_all().map_err(write)?;
         fs::rename(&self.path, path).map_err(write)?;
         self.unlinked = true;
@@ -112,6 +130,19 @@ impl Drop for TemporaryFile {
     }
 }
 
+/// The directory that holds `path`.
+pub(super) fn directory_of(path: &Path) -> PathBuf {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
+        _ => PathBuf::from("."),
+    }
+}
+
+/// The last part of `path`.
+pub(super) fn name_of(path: &Path) -> OsString {
+    path.file_name().map_or_else(|| OsString::from("model"), OsString::from)
+}
+
 /// Reads exactly `into.len()` bytes at `offset`; shared by all threads.
 pub(super) fn read_at(file: &File, offset: u64, into: &mut [u8]) -> io::Result<()> {
     #[cfg(unix)]
@@ -131,7 +162,7 @@ pub(super) fn read_at(file: &File, offset: u64, into: &mut [u8]) -> io::Result<(
 }
 
 /// Writes all of `bytes` at `offset`.
-pub(super) fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<()> {
     #[cfg(unix)]
     return std::os::unix::fs::FileExt::write_all_at(file, bytes, offset);
     #[cfg(windows)]

@@ -1,7 +1,6 @@
 //! Image files to one file of tiles beside the compiled model.
 
-use std::fs::{self, File};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -11,6 +10,7 @@ use super::layout::{Encoding, Image, ImageKey, TILE_BYTES, tile_count};
 use super::pyramid::{Pyramid, tile_checksum};
 use crate::block::checksum;
 use crate::budget::{MemoryBudget, Reservation};
+use crate::compile::{TemporaryFile, WriteError, write_at};
 use crate::error::TextureError;
 use crate::model::{ImageMap, MaterialRecord};
 use crate::units::Bytes;
@@ -40,18 +40,10 @@ impl Textures {
         {
             return Ok(Arc::new(textures));
         }
-        let mut partial = tiles.as_os_str().to_owned();
-        partial.push(".partial");
-        let partial = PathBuf::from(partial);
-        let written = write(&keys, folder, &partial, wanted, budget);
-        let published = written.and_then(|()| {
-            fs::rename(&partial, tiles).map_err(|error| TextureError::Io { path: tiles.to_path_buf(), error })
-        });
-        if let Err(error) = published {
-            // Whatever is left of it is of no use; the first error is the one to tell.
-            let _ = fs::remove_file(&partial);
-            return Err(error);
-        }
+        // Under a name of its own, as somebody else may convert the same images at this moment.
+        let partial = TemporaryFile::beside(tiles, ".partial")?;
+        write(&keys, folder, &partial, wanted, budget)?;
+        partial.publish(tiles)?;
         Textures::open_file(tiles, budget).map(Arc::new)
     }
 
@@ -105,10 +97,15 @@ fn source_key(keys: &[ImageKey], folder: &Path) -> Result<u64, TextureError> {
     Ok(checksum(&bytes))
 }
 
+impl From<WriteError> for TextureError {
+    fn from(WriteError { path, error }: WriteError) -> TextureError {
+        TextureError::Io { path, error }
+    }
+}
+
 /// Tiles of one image on their way to the file.
 struct ToFile<'a> {
-    output: &'a mut File,
-    output_path: &'a Path,
+    output: &'a TemporaryFile,
     encoding: Encoding,
     checksums: &'a mut Vec<u64>,
     first_tile: u32,
@@ -126,7 +123,7 @@ impl Rows for ToFile<'_> {
         self.memory.push(memory.map_err(TextureError::Budget)?);
         let count = self.first_tile.checked_add(tiles).filter(|count| *count < u32::MAX);
         let count = count.ok_or_else(|| TextureError::Image {
-            path: self.output_path.to_path_buf(),
+            path: self.output.path().to_path_buf(),
             reason: "would have more than 2^32 tiles".to_owned(),
         })?;
         self.checksums.resize(count as usize, 0);
@@ -136,13 +133,13 @@ impl Rows for ToFile<'_> {
     }
 
     fn row(&mut self, row: &[u8]) -> Result<(), TextureError> {
-        let ToFile { output, output_path, checksums, pyramid, .. } = self;
+        let ToFile { output, checksums, pyramid, .. } = self;
         // `start` comes first.
         let Some(pyramid) = pyramid else { return Ok(()) };
         pyramid.push(row, &mut |tile, texels| {
             checksums[tile as usize] = tile_checksum(texels);
-            write_at(output, HEADER_BYTES as u64 + u64::from(tile) * TILE_BYTES as u64, texels)
-                .map_err(|error| TextureError::Io { path: output_path.to_path_buf(), error })
+            write_at(output.file(), HEADER_BYTES as u64 + u64::from(tile) * TILE_BYTES as u64, texels)
+                .map_err(|error| TextureError::Io { path: output.path().to_path_buf(), error })
         })
     }
 }
@@ -150,18 +147,16 @@ impl Rows for ToFile<'_> {
 fn write(
     keys: &[ImageKey],
     folder: &Path,
-    path: &Path,
+    output: &TemporaryFile,
     source: u64,
     budget: &MemoryBudget,
 ) -> Result<(), TextureError> {
-    let io = |error| TextureError::Io { path: path.to_path_buf(), error };
-    let mut output = File::create(path).map_err(io)?;
+    let io = |error| TextureError::Io { path: output.path().to_path_buf(), error };
     let (mut images, mut checksums) = (Vec::new(), Vec::new());
     for key in keys {
         let first_tile = checksums.len() as u32;
         let mut rows = ToFile {
-            output: &mut output,
-            output_path: path,
+            output,
             encoding: key.encoding,
             checksums: &mut checksums,
             first_tile,
@@ -179,13 +174,7 @@ fn write(
     }
     let (header, directory) = sealed(&images, &checksums, source);
     let offset = HEADER_BYTES as u64 + checksums.len() as u64 * TILE_BYTES as u64;
-    write_at(&mut output, offset, &directory).map_err(io)?;
+    write_at(output.file(), offset, &directory).map_err(io)?;
     // Last: before that the file is none.
-    write_at(&mut output, 0, &header).map_err(io)?;
-    output.sync_all().map_err(io)
-}
-
-fn write_at(file: &mut File, offset: u64, bytes: &[u8]) -> io::Result<()> {
-    file.seek(SeekFrom::Start(offset))?;
-    file.write_all(bytes)
+    write_at(output.file(), 0, &header).map_err(io)
 }

@@ -259,6 +259,28 @@ fn image_files_are_converted_once_and_again_when_they_change() {
 }
 
 #[test]
+fn a_file_that_somebody_else_converts_to_is_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = image(8, 8, pattern);
+    let bytes: Vec<u8> = picture.texels.iter().flatten().copied().collect();
+    write_png(&folder.path().join("a.png"), &picture, png::ColorType::Rgba, &bytes);
+    let [tiles, partial] = ["tiles", "tiles.partial"].map(|name| folder.path().join(name));
+    let open = || {
+        Textures::open(&[named("a.png")], folder.path(), &tiles, &MemoryBudget::new(Bytes::mib(8))).unwrap()
+    };
+    // A lock holds between files opened in one process, too.
+    let other = crate::compile::open_locked(&partial).unwrap().unwrap();
+    other.set_len(5).unwrap();
+    open();
+    assert_eq!(fs::metadata(&partial).unwrap().len(), 5);
+    // What nobody holds is stale, and taken over.
+    drop(other);
+    fs::remove_file(&tiles).unwrap();
+    open();
+    assert!(!partial.exists() && tiles.exists());
+}
+
+#[test]
 fn what_cannot_be_read_is_named() {
     let place = tempfile::tempdir().unwrap();
     let (folder, tiles) = (place.path(), place.path().join("tiles"));
