@@ -10,7 +10,7 @@ use std::path::Path;
 
 use super::library::candidates;
 use super::report::ImportReport;
-use super::text::{self, shown, words};
+use super::text::{self, shown, trimmed, words};
 use crate::model::{ImageMap, MaterialImages, MaterialRecord};
 
 /// Longest line; longer ones are cut there.
@@ -47,9 +47,9 @@ pub(super) fn read(
         // A lone CR ends lines in files that have no LF.
         for text in bytes.split(|byte| *byte == b'\r') {
             line += 1;
-            let text = text.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(text).trim_ascii();
+            let text = trimmed(text.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(text));
             let keyword = words(text).next().unwrap_or_default();
-            let rest = text[keyword.len()..].trim_ascii();
+            let rest = trimmed(&text[keyword.len()..]);
             if keyword == b"newmtl" {
                 let finished = std::mem::replace(&mut block, Block::named(rest, line));
                 if let Some(material) = finished.finish(path, report)
@@ -93,7 +93,7 @@ fn image_map(path: &Path, folder: &Path, rest: &[u8]) -> Result<ImageMap, String
     let mut left = rest;
     // Options come first; the name is all that follows, blanks included.
     while let Some(option) = words(left).next().filter(|word| word.starts_with(b"-")) {
-        left = left[option.len()..].trim_ascii_start();
+        left = trimmed(&left[option.len()..]);
         let mut take = |most: usize, is_number: bool| {
             let mut taken = Vec::new();
             while taken.len() < most
@@ -101,7 +101,7 @@ fn image_map(path: &Path, folder: &Path, rest: &[u8]) -> Result<ImageMap, String
                 && (!is_number || std::str::from_utf8(word).is_ok_and(|text| text.parse::<f32>().is_ok()))
             {
                 taken.push(String::from_utf8_lossy(word).into_owned());
-                left = left[word.len()..].trim_ascii_start();
+                left = trimmed(&left[word.len()..]);
             }
             taken
         };
@@ -125,7 +125,7 @@ fn image_map(path: &Path, folder: &Path, rest: &[u8]) -> Result<ImageMap, String
             _ => _ = take(1, false),
         }
     }
-    let name = left.trim_ascii();
+    let name = trimmed(left);
     if name.is_empty() {
         return Err("a texture statement without an image; it is left out".to_owned());
     }

@@ -13,7 +13,7 @@ use super::meter::Meter;
 use super::number;
 use super::report::{ImportOptions, ImportReport};
 use super::sink::MeshSink;
-use super::text::{shown, words};
+use super::text::{shown, trimmed, words};
 use super::window::{WINDOW_BYTES, Window};
 use crate::error::ImportError;
 
@@ -174,7 +174,7 @@ impl Text<'_, '_> {
     fn read(&mut self, feed: &mut Feed<'_>) -> Result<(), ImportError> {
         let mut state = Facet::default();
         while let Some((length, end_bytes)) = self.next_line()? {
-            self.statement(self.window.data()[..length].trim_ascii(), &mut state, feed)?;
+            self.statement(trimmed(&self.window.data()[..length]), &mut state, feed)?;
             self.window.consume(length + end_bytes);
             self.line += 1;
             feed.progress(self.window.progress())?;

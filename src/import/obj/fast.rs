@@ -205,7 +205,7 @@ fn attribute<const WANTED: bool>(data: &[u8], at: usize) -> Option<(u32, usize)>
         Some((_, at)) if !WANTED => Some((NO_INDEX, at)),
         Some((index @ 1..=0xffff_ffff, at)) if !negative => Some((index as u32 - 1, at)),
         Some(_) => None,
-        None => (at < data.len() && !(WANTED && negative)).then_some((NO_INDEX, at)),
+        None => (at < data.len() && !negative).then_some((NO_INDEX, at)),
     }
 }
 

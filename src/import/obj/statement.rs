@@ -6,7 +6,7 @@ use crate::import::decimal;
 use crate::import::number;
 use crate::import::polygon::CORNERS_MAX;
 use crate::import::sink::NO_INDEX;
-use crate::import::text::{shown, words};
+use crate::import::text::{shown, trimmed, words};
 
 impl Parser<'_> {
     /// Reads the line at `at`, with those that it continues on, and gives the start of the next; `None` if it
@@ -20,7 +20,7 @@ impl Parser<'_> {
         offset: u64,
     ) -> Result<Option<usize>, ImportError> {
         // Of this line alone: where many are empty, what is behind them would be looked at for each.
-        let first = data[at..end].iter().find(|byte| !matches!(byte, b' ' | b'\t' | b'\x0C'));
+        let first = data[at..end].iter().find(|byte| !matches!(byte, b' ' | b'\t' | b'\x0B' | b'\x0C'));
         let comment = first == Some(&b'#');
         let mut joined = std::mem::take(&mut self.joined);
         joined.clear();
@@ -62,7 +62,7 @@ impl Parser<'_> {
 
     /// Reads a statement, which starts at `offset` in the stream.
     fn statement(&mut self, text: &[u8], offset: u64) -> Result<(), ImportError> {
-        let text = text.trim_ascii();
+        let text = trimmed(text);
         let keyword = words(text).next().unwrap_or_default();
         let rest = &text[keyword.len()..];
         let counts = self.pass != Pass::Faces;

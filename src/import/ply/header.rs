@@ -1,7 +1,7 @@
 //! The text that every PLY file starts with: encoding, elements, properties.
 
 use crate::error::ImportError;
-use crate::import::text::{shown, words};
+use crate::import::text::{shown, trimmed, words};
 use crate::import::window::Window;
 
 /// How the records after the header are written.
@@ -150,7 +150,7 @@ pub(super) fn read(window: &mut Window<'_>) -> Result<Header, ImportError> {
             return Err(window.line_error(lines, reason));
         };
         position += length + 1;
-        match parser.line(rest[..length].trim_ascii(), lines) {
+        match parser.line(trimmed(&rest[..length]), lines) {
             Ok(true) => break,
             Ok(false) => {}
             Err(reason) => return Err(window.line_error(lines, reason)),
@@ -184,9 +184,9 @@ impl Parser {
         match keyword {
             b"" | b"ply" | b"obj_info" => {}
             b"comment" => {
-                let text = line["comment".len()..].trim_ascii();
+                let text = trimmed(&line["comment".len()..]);
                 if let Some(name) = text.strip_prefix(b"mtllib ") {
-                    self.material_library.get_or_insert_with(|| name.trim_ascii().to_vec());
+                    self.material_library.get_or_insert_with(|| trimmed(name).to_vec());
                 }
             }
             b"format" => {

@@ -79,6 +79,10 @@ fn line_ends_of_every_kind() {
         assert_eq!(mesh, plain.0);
     }
     assert_eq!(obj(format!("\u{FEFF}{text}")).unwrap().0, plain.0);
+    // Vertical tabs, before words too, and in a remark, which does not go on in the next line.
+    let tabs = text.replace(' ', "\u{B}").replace("v", "\u{B}v");
+    assert_eq!(obj(tabs).unwrap().0, plain.0);
+    assert_eq!(obj(format!("\u{B}# remark \\\n{text}")).unwrap().0, plain.0);
 }
 
 #[test]
@@ -151,6 +155,10 @@ fn faults_name_line_and_reason() {
         (
             "v 1 2 3\nf 1/1/1/1 1 1\n",
             "folder/model.obj:2: `1/1/1/1` is not a corner of a face (a, a/b, a//c or a/b/c)",
+        ),
+        (
+            "v 1 2 3\nf 1 1 1/-\n",
+            "folder/model.obj:2: `1/-` is not a corner of a face (a, a/b, a//c or a/b/c)",
         ),
         (
             "v 1 2 3\nf 1 1 99999999999999999999\n",
