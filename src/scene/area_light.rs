@@ -5,6 +5,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
+use super::light::POSITION_MAX;
 use super::sphere::{cone_direction, disc_point, frame_around, to_frame, unit};
 use crate::error::RenderError;
 
@@ -40,33 +41,33 @@ impl LightShape {
     /// Says what is wrong with the shape, if anything is.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] if a number is not finite, or the shape has no extent.
+    /// [`RenderError::Setting`] if a number is not finite, a coordinate is beyond 1e150, or the shape has no extent.
     pub fn validate(&self) -> Result<(), RenderError> {
         let error = |reason: &str| Err(RenderError::Setting { what: "light", reason: reason.to_string() });
-        let finite = |points: &[[f64; 3]]| points.iter().flatten().all(|x| x.is_finite());
+        let is_near = |point: [f64; 3]| point.iter().all(|x| x.abs() <= POSITION_MAX);
         // Squares of such radii neither vanish nor overflow.
         let sensible = |radius: f64| (1e-100..=1e100).contains(&radius);
         match *self {
             LightShape::Rectangle { corner, edges } => {
                 let [a, b] = edges.map(DVec3::from_array);
                 // Neither vanishes nor overflows: what points are found by is divided by it.
-                if !finite(&[corner]) || !a.cross(b).length_squared().is_normal() {
+                if !is_near(corner) || !a.cross(b).length_squared().is_normal() {
                     return error(
-                        "the corner and edges of a rectangle must be finite, its edges not parallel and of sensible lengths",
+                        "the corner and edges of a rectangle must be finite, its corner within 1e150, its edges not parallel and of sensible lengths",
                     );
                 }
             }
             LightShape::Disc { center, normal, radius } => {
                 let normal = unit(DVec3::from_array(normal));
-                if !finite(&[center]) || normal.is_none() || !sensible(radius) {
+                if !is_near(center) || normal.is_none() || !sensible(radius) {
                     return error(
-                        "a disc needs a finite middle, a normal that is not zero and a positive radius",
+                        "a disc needs a middle within 1e150, a normal that is not zero and a positive radius",
                     );
                 }
             }
             LightShape::Sphere { center, radius } => {
-                if !finite(&[center]) || !sensible(radius) {
-                    return error("a sphere needs a finite middle and a positive radius");
+                if !is_near(center) || !sensible(radius) {
+                    return error("a sphere needs a middle within 1e150 and a positive radius");
                 }
             }
         }
@@ -342,6 +343,7 @@ mod tests {
             LightShape::Sphere { center, radius: -1.0 },
             LightShape::Sphere { center, radius: f64::INFINITY },
             LightShape::Sphere { center: [f64::INFINITY; 3], radius: 1.0 },
+            LightShape::Disc { center: [0.0, 1e151, 0.0], normal, radius: 1.0 },
         ] {
             assert!(bad.validate().is_err(), "{bad:?}");
         }

@@ -65,8 +65,11 @@ fn camera_at(projection: GltfProjection<'_>, matrix: DMat4) -> Result<Camera, Re
             Projection::Orthographic { height: 2.0 * f64::from(part.ymag()) }
         }
     };
-    // Far from the origin a short step would be lost.
-    let look_at = eye + forward * (1.0 + eye.abs().max_element());
+    // Far from the origin a short step would be lost, as would be one that a small scale of the node has shortened. (Without a
+    // direction it goes nowhere, which the camera refuses.)
+    let length = forward.abs().max_element();
+    let step = if length > 0.0 { forward / length } else { forward };
+    let look_at = eye + step * (1.0 + eye.abs().max_element());
     Camera::new(eye.to_array(), look_at.to_array(), up.to_array(), projection)
 }
 
@@ -131,6 +134,11 @@ mod tests {
             (intensity[0] - 10.0).abs() < 1e-4 && (intensity[1] - 5.0).abs() < 1e-4 && intensity[2] == 0.0
         );
         assert!(direction[1] < -0.999 && (outer_degrees - 0.5f64.to_degrees()).abs() < 1e-5);
+        // A small node far away looks the same way.
+        let far = document.replace("[0, 0, 5], ", "[0, 1e9, 0], \"scale\": [1e-12, 1e-12, 1e-12], ");
+        std::fs::write(&path, far).unwrap();
+        let [_, _, forward] = GltfView::read(&path).unwrap().cameras[0].frame().map(DVec3::from_array);
+        assert!((forward - DVec3::NEG_Z).length() < 1e-15, "{forward}");
         std::fs::write(&path, document.replace("\"yfov\": 0.5", "\"yfov\": 4.0")).unwrap();
         assert!(
             matches!(GltfView::read(&path), Err(ImportError::Element { element, .. }) if element == "nodes[0]")

@@ -79,6 +79,9 @@ pub(crate) struct Incidence {
     pub irradiance: DVec3,
 }
 
+/// Largest coordinate of a light: squares of distances from there are numbers.
+pub(super) const POSITION_MAX: f64 = 1e150;
+
 impl Light {
     /// A point light without falloff.
     pub fn point(position: [f64; 3], intensity: [f32; 3]) -> Light {
@@ -141,8 +144,8 @@ impl Light {
     /// Says what is wrong with the light, if anything is.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] if a number is not finite, an intensity is negative, a direction is zero or a radius
-    /// is not positive.
+    /// [`RenderError::Setting`] if a number is not finite, a coordinate is beyond 1e150, an intensity is negative, a direction is zero
+    /// or a radius is not positive.
     pub fn validate(&self) -> Result<(), RenderError> {
         let error = |reason: &str| Err(RenderError::Setting { what: "light", reason: reason.to_string() });
         if self.intensity().iter().any(|channel| !(*channel >= 0.0 && channel.is_finite())) {
@@ -150,9 +153,9 @@ impl Light {
         }
         match *self {
             Light::Point { position, .. } | Light::Spot { position, .. }
-                if !DVec3::from_array(position).is_finite() =>
+                if !position.iter().all(|x| x.abs() <= POSITION_MAX) =>
             {
-                error("its position must be finite")
+                error("its position must be finite, and no coordinate beyond 1e150")
             }
             Light::Point { falloff: Falloff::InverseSquare { radius }, .. }
             | Light::Spot { falloff: Falloff::InverseSquare { radius }, .. }
@@ -361,6 +364,14 @@ mod tests {
         let sun = Light::directional([0.0, -3.0, 0.0], [1.0; 3]);
         assert_eq!(sun.emitter().unwrap().incidence(DVec3::splat(1e9)).toward, DVec3::Y);
         assert!(!weakening.emitter().unwrap().incidence(DVec3::new(0.0, 2.0, 0.0)).irradiance.is_nan());
+    }
+
+    #[test]
+    fn lights_stand_where_distances_are_numbers() {
+        for (x, is_valid) in [(-1e150, true), (1e151, false), (f64::INFINITY, false), (f64::NAN, false)] {
+            let light = Light::point([0.0, x, 0.0], [1.0; 3]);
+            assert_eq!(light.validate().is_ok(), is_valid, "{x}");
+        }
     }
 
     #[test]

@@ -99,7 +99,10 @@ impl Elements {
             return Err(opened.error(name, "sparse accessors are not supported; write the file without them"));
         }
         let Some(view) = accessor.view() else {
-            return Err(opened.error(name, "the accessor has no buffer view"));
+            return Err(opened.error(
+                name,
+                "the accessor has no buffer view, which makes it all zeros; write the file without it",
+            ));
         };
         let (size, left) = (accessor.size() as u64, accessor.count() as u64);
         let stride = view.stride().map_or(size, |stride| stride as u64);
