@@ -83,6 +83,8 @@ pub mod texture;
 pub mod trace;
 pub mod transport;
 pub mod units;
+#[cfg(test)]
+mod without_threads;
 
 pub use budget::MemoryBudget;
 pub use cache::GeometryCache;

@@ -1,6 +1,7 @@
 //! The roles in real time, over a real transport.
 
 use std::collections::VecDeque;
+use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
@@ -295,7 +296,8 @@ pub fn run_worker(
             let to_pump = to_pump;
             pump(control, &to_pump, &is_over)
         };
-        scope.spawn(pump);
+        let no_thread = |error| NodeError::CannotRender { reason: no_thread(&error) };
+        thread::Builder::new().spawn_scoped(scope, pump).map_err(no_thread)?;
         let (notes_in, notes) = mpsc::channel();
         let mut worker = Worker::new(&options.name, options.lanes, model, options.roles);
         if options.waiting != WaitingRays::Never {
@@ -560,6 +562,7 @@ impl Engine<'_> {
         let end = renderer.with_regions(lanes.into(), |regions_by| {
             thread::scope(|scope| {
                 let mut to_lanes: Vec<Sender<Region>> = Vec::new();
+                let mut failed = None;
                 for lane in 0..lanes {
                     let (regions_in, regions) = mpsc::channel();
                     to_lanes.push(regions_in);
@@ -567,7 +570,7 @@ impl Engine<'_> {
                     let (events, totals) = (events_in.clone(), totals_in.clone());
                     // False if the engine is gone.
                     let tell = move |event| events.send((Some(number), event)).is_ok();
-                    scope.spawn(move || {
+                    let spawned = thread::Builder::new().spawn_scoped(scope, move || {
                         let mut done = RegionCounters::default();
                         let result = regions_by.renderer(abort).and_then(|mut renderer| {
                             let result = serve(lane, &mut renderer, &regions, &tell);
@@ -580,12 +583,24 @@ impl Engine<'_> {
                         }
                         let _ = totals.send(done);
                     });
+                    if let Err(error) = spawned {
+                        // As if the lane had begun and failed.
+                        failed = Some(no_thread(&error));
+                        let _ = totals_in.send(RegionCounters::default());
+                    }
                 }
                 if let (Some((copy, _)), Source::Remote(remote)) = (&copying, source) {
                     let (abort, notes) = (&abort, self.notes_in.clone());
-                    scope.spawn(move || make_copy(copy, remote, abort, &notes));
+                    let told = notes.clone();
+                    let copier = move || make_copy(copy, remote, abort, &notes);
+                    if let Err(error) = thread::Builder::new().spawn_scoped(scope, copier) {
+                        let _ = told.send(format!("{}; going on without a copy", no_thread(&error)));
+                    }
                 }
                 self.handle(WorkerEvent::Opened);
+                if let Some(reason) = failed {
+                    self.handle(WorkerEvent::Failed { reason });
+                }
                 let end = self.render(source, &to_lanes);
                 abort.store(true, Ordering::Relaxed);
                 if let (Some(copy), false) = (&options.copy, matches!(end, Ok(End::Next(_)))) {
@@ -712,6 +727,10 @@ fn make_copy(copy: &FileCopy, remote: &RemoteSource, stop: &AtomicBool, notes: &
     };
     // The engine may be gone already.
     let _ = notes.send(note);
+}
+
+fn no_thread(error: &io::Error) -> String {
+    format!("the system gives this node no more threads: {error}")
 }
 
 /// Where a worker's blocks come from.

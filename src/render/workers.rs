@@ -406,24 +406,16 @@ mod tests {
     use std::sync::atomic::AtomicUsize;
 
     use super::*;
+    use crate::without_threads::without_threads;
 
-    /// In a process of its own, whose threads want stacks that no system has.
     #[test]
     fn fewer_threads_work_where_the_system_gives_fewer() {
-        const CHILD: &str = "OUTCROP_TEST_WITHOUT_THREADS";
-        let name = "render::workers::tests::fewer_threads_work_where_the_system_gives_fewer";
-        if std::env::var_os(CHILD).is_none() {
-            let mut child = std::process::Command::new(std::env::current_exe().unwrap());
-            child.args([name, "--exact", "--test-threads=1"]);
-            let output =
-                child.env(CHILD, "1").env("RUST_MIN_STACK", (1u64 << 60).to_string()).output().unwrap();
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
-            return;
-        }
-        let count = AtomicUsize::new(0);
-        on_threads(&Threads::Count(3), &|| {
-            count.fetch_add(1, Ordering::Relaxed);
+        without_threads("render::workers::tests::fewer_threads_work_where_the_system_gives_fewer", || {
+            let count = AtomicUsize::new(0);
+            on_threads(&Threads::Count(3), &|| {
+                count.fetch_add(1, Ordering::Relaxed);
+            });
+            assert_eq!(count.into_inner(), 1);
         });
-        assert_eq!(count.into_inner(), 1);
     }
 }

@@ -355,23 +355,15 @@ mod tests {
     use std::io::Read;
 
     use super::*;
+    use crate::without_threads::without_threads;
 
-    /// In a process of its own, whose threads want stacks that no system has.
     #[test]
     fn a_node_that_gets_no_thread_says_so() {
-        const CHILD: &str = "OUTCROP_TEST_WITHOUT_THREADS";
-        let name = "transport::tcp::tests::a_node_that_gets_no_thread_says_so";
-        if std::env::var_os(CHILD).is_none() {
-            let mut child = std::process::Command::new(std::env::current_exe().unwrap());
-            child.args([name, "--exact", "--test-threads=1"]);
-            let output =
-                child.env(CHILD, "1").env("RUST_MIN_STACK", (1u64 << 60).to_string()).output().unwrap();
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
-            return;
-        }
-        let key = SharedKey::from_hex(&"07".repeat(32)).unwrap();
-        let node = TcpTransport::open(key, TcpOptions::loopback("node"));
-        assert!(matches!(node, Err(TransportError::Listen { .. })), "{node:?}");
+        without_threads("transport::tcp::tests::a_node_that_gets_no_thread_says_so", || {
+            let key = SharedKey::from_hex(&"07".repeat(32)).unwrap();
+            let node = TcpTransport::open(key, TcpOptions::loopback("node"));
+            assert!(matches!(node, Err(TransportError::Listen { .. })), "{node:?}");
+        });
     }
 
     #[test]
