@@ -152,6 +152,7 @@ fn what_is_left_out_is_chosen() {
     let sky = parse(&format!("{MODEL}[environment]\nradiance = [1, 2, 3]\n")).unwrap();
     let expected = dark.clone().with_environment(Environment::Constant([1.0, 2.0, 3.0]));
     assert_eq!(sky.scene(&unit_box(), &budget).unwrap(), expected);
+    assert_eq!(sky.environment_file(), None);
     let lamp =
         parse(&format!("{MODEL}[[light.point]]\nposition = [1, 2, 3]\nintensity = [1, 1, 1]\n")).unwrap();
     let expected = dark.with_light(Light::point([1.0, 2.0, 3.0], [1.0; 3]));
@@ -344,6 +345,7 @@ fn damaged_files_are_errors_or_other_scenes() {
 fn pictures_that_cannot_be_read_are_errors() {
     let budget = MemoryBudget::new(Bytes::mib(1));
     let file = parse(&format!("{MODEL}[environment]\nfile = \"none.hdr\"\n")).unwrap();
+    assert!(file.environment_file().is_some_and(|path| path.ends_with("none.hdr")));
     let message = file.scene(&unit_box(), &budget).unwrap_err().to_string();
     assert!(message.contains("none.hdr"), "{message}");
     assert_eq!(budget.used(), Bytes(0));

@@ -74,8 +74,10 @@ pub fn check(options: &Options) -> Result<(), Box<dyn Error>> {
     for output in &outputs {
         refuse_unwritable(output)?;
     }
+    let sky = options.scene.as_ref().and_then(|scene| scene.environment_file());
+    let sky = sky.map(|path| Named::new("the picture of the environment", path, Role::Read));
     // Before the compiled file's place is looked at: nobody should be told to remove the model from there.
-    let files: Vec<Named> = inputs.into_iter().chain(outputs).chain(compiled).collect();
+    let files: Vec<Named> = inputs.into_iter().chain(sky).chain(outputs).chain(compiled).collect();
     refuse_overlaps(&files)?;
     check_compiled(&files)
 }

@@ -142,6 +142,14 @@ impl SceneFile {
         places.filter_map(|(number, place)| Some((number, place.end?))).collect()
     }
 
+    /// The picture of the environment, if there is one.
+    pub fn environment_file(&self) -> Option<&Path> {
+        match self.lighting.as_ref()?.environment.as_ref()? {
+            Surroundings::Picture { file, .. } => Some(file),
+            Surroundings::Constant(_) => None,
+        }
+    }
+
     /// The scene over models that fill `bounds`, in a picture of the settings' shape. Reads the picture of the environment, if there is
     /// one, into memory of `budget`; pictures that materials name are not opened ([`Textures::open`](crate::texture::Textures::open)).
     ///
