@@ -12,7 +12,7 @@ use outcrop::octree::{LeafLayout, OctreeOptions};
 use outcrop::simd::SimdLevel;
 use outcrop::trace::{MaterialSet, Occlusion};
 use outcrop::units::{Bytes, MaterialId, TriangleId};
-use outcrop::{BlockSource, MemoryBudget};
+use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 use support::numbers::Random;
 use support::{MATERIALS, Triangles, compile, occlusion_of};
 
@@ -565,4 +565,30 @@ fn many_models_share_a_small_budget() {
         assert!(budget.peak() <= budget.limit());
     }
     assert!(opened > 10, "{opened}");
+}
+
+/// The cache of one model must not take what another one's tracers need.
+#[test]
+fn tracers_have_room_beside_caches_that_are_too_small() {
+    let mut random = Random(20);
+    let sources: Vec<Arc<dyn BlockSource>> = (0..3)
+        .map(|_| {
+            let model = soup(&mut random, 3000, 0.1);
+            compile(&model, Precision::Float32, 20, |i| i as u64) as Arc<dyn BlockSource>
+        })
+        .collect();
+    let places: Vec<Instance> = (0..3).map(|model| Instance { model, map: Affine::IDENTITY }).collect();
+    let options = OctreeOptions { tracers_max: 4, ..Default::default() };
+    let mut too_small = 0;
+    for kib in (512..16 << 10).step_by(128) {
+        let budget = MemoryBudget::new(Bytes::kib(kib));
+        let Ok(instances) = Instances::open(&sources, places.clone(), &budget, &options) else { continue };
+        let is_too_small =
+            |octree: &LazyOctree| octree.cache().slot_count() < octree.model().block_id_count();
+        too_small += u32::from(instances.octrees().iter().any(is_too_small));
+        let tracers: Vec<_> = (0..4).map(|_| instances.tracer()).collect();
+        let failed = tracers.iter().find_map(|tracer| tracer.as_ref().err());
+        assert!(failed.is_none(), "{kib} KiB: {failed:?}");
+    }
+    assert!(too_small > 10, "{too_small}");
 }

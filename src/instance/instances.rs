@@ -91,6 +91,7 @@ impl Instances {
         let materials: u64 = sources.iter().map(|source| material_bytes(source.model())).sum();
         let own = budget.reserve(Bytes(bytes_needed(instances.len()) + materials), "instances")?;
         let mut octrees = Vec::with_capacity(sources.len());
+        let mut of_tracers = Vec::with_capacity(sources.len());
         for (model, source) in sources.iter().enumerate() {
             let failed = |error| InstanceError::Model { model, error };
             let rest = &sources[model + 1..];
@@ -104,8 +105,11 @@ impl Instances {
             let set_aside = budget.reserve(aside, "the other models of the scene")?;
             octrees.push(LazyOctree::open(Arc::clone(source), budget, *options).map_err(failed)?);
             drop(set_aside);
+            // What this one left for its tracers is not for the caches of the others.
+            let bytes = scratch_bytes(source, options).min(budget.available().0);
+            of_tracers.push(budget.reserve(Bytes(bytes), "the tracers of a scene")?);
         }
-        drop(own);
+        drop((own, of_tracers));
         Instances::over(octrees, instances, budget)
     }
 
@@ -330,7 +334,13 @@ fn least_bytes(source: &Arc<dyn BlockSource>, options: &OctreeOptions) -> u64 {
     // Directory, nodes and sub-boxes of the coarse tree, the table of the cache.
     const PER_BLOCK: u64 = 512;
     let directory = model.resident_bytes().0 + u64::from(model.block_id_count()) * PER_BLOCK;
-    directory + tracers * (tracer_bytes(&**source).0 + slot.min(u64::from(model.block_id_count()) * slot))
+    let slots = tracers * slot.min(u64::from(model.block_id_count()) * slot);
+    directory + scratch_bytes(source, options) + slots
+}
+
+/// Scratch of a model's tracers.
+fn scratch_bytes(source: &Arc<dyn BlockSource>, options: &OctreeOptions) -> u64 {
+    u64::from(options.tracers_max.max(1)).saturating_mul(tracer_bytes(&**source).0)
 }
 
 impl std::fmt::Debug for Instances {
