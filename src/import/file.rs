@@ -1,5 +1,6 @@
 //! Model files by name: which reader takes them, compression, and the record by which a change is noticed.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -112,12 +113,12 @@ fn io_error(path: &Path) -> impl Fn(io::Error) -> ImportError + '_ {
     |error| ImportError::Io { path: path.to_path_buf(), error }
 }
 
-/// Bytes at each end of a model file that its fingerprint covers.
+/// Bytes at each end of a file that a fingerprint covers.
 const FINGERPRINT_BYTES: u64 = 64 << 10;
 
 /// What a compiled file keeps to notice that the model file changed. The modification time is the latest of the model
 /// file and of the material libraries that it names in its first 64 KiB (an OBJ file's `mtllib`, a PLY file's
-/// `comment mtllib`), where writers put them.
+/// `comment mtllib`), where writers put them, or of the buffers of a glTF file; the fingerprint covers all of these.
 ///
 /// # Errors
 /// [`ImportError::Io`] for the model file. A library that is not there is left out, as [`import_file`] leaves it out.
@@ -126,18 +127,22 @@ pub fn source_record(path: impl AsRef<Path>) -> Result<SourceRecord, ImportError
     let mut file = File::open(path).map_err(io_error(path))?;
     let metadata = file.metadata().map_err(io_error(path))?;
     let mut modified_ns = modified_ns(&metadata).map_err(io_error(path))?;
-    let fingerprint = fingerprint(&mut file, metadata.len()).map_err(io_error(path))?;
+    let mut hash = Xxh3::new();
+    add_ends(&mut hash, &mut file, metadata.len()).map_err(io_error(path))?;
     if let Some((format, compressed)) = kind(path) {
         let mut front = Vec::new();
         let (reader, _) = open(path, compressed)?;
         // A compressed file that is damaged here will say so when it is imported.
         let _ = reader.take(FINGERPRINT_BYTES).read_to_end(&mut front);
         for library in named_libraries(format, path, &front) {
-            let library_ns = library.metadata().and_then(|metadata| self::modified_ns(&metadata));
-            modified_ns = modified_ns.max(library_ns.unwrap_or(0));
+            // One that cannot be read costs the import its materials, not the model.
+            let Ok((mut library, metadata)) = opened(&library) else { continue };
+            modified_ns = modified_ns.max(self::modified_ns(&metadata).unwrap_or(0));
+            // Unpacked or copied files keep times that may be older than the model's, so that the latest time stays.
+            let _ = add_ends(&mut hash, &mut library, metadata.len());
         }
     }
-    Ok(SourceRecord { file_bytes: metadata.len(), modified_ns, fingerprint })
+    Ok(SourceRecord { file_bytes: metadata.len(), modified_ns, fingerprint: hash.digest() })
 }
 
 /// [`source_record`] of what `options` have read: the same file read in another part has another fingerprint.
@@ -160,9 +165,14 @@ pub fn source_record_of(
     Ok(record)
 }
 
-/// XXH3-64 over the size and both ends of a file.
-fn fingerprint(file: &mut File, file_bytes: u64) -> io::Result<u64> {
-    let mut hash = Xxh3::new();
+fn opened(path: &Path) -> io::Result<(File, std::fs::Metadata)> {
+    let file = File::open(path)?;
+    let metadata = file.metadata()?;
+    Ok((file, metadata))
+}
+
+/// Adds the size and both ends of a file to a fingerprint.
+fn add_ends(hash: &mut Xxh3, file: &mut File, file_bytes: u64) -> io::Result<()> {
     hash.update(&file_bytes.to_le_bytes());
     let mut bytes = Vec::new();
     file.take(FINGERPRINT_BYTES).read_to_end(&mut bytes)?;
@@ -173,7 +183,7 @@ fn fingerprint(file: &mut File, file_bytes: u64) -> io::Result<u64> {
         file.take(FINGERPRINT_BYTES).read_to_end(&mut bytes)?;
         hash.update(&bytes);
     }
-    Ok(hash.digest())
+    Ok(())
 }
 
 /// Modification time in nanoseconds since 1970; 0 for times before that.
@@ -182,14 +192,14 @@ fn modified_ns(metadata: &std::fs::Metadata) -> io::Result<u64> {
     Ok(u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
 }
 
-/// Material libraries that the first bytes of a model file name and that are there.
-fn named_libraries(format: Format, model: &Path, front: &[u8]) -> Vec<PathBuf> {
+/// Material libraries that the first bytes of a model file name and that are there, or buffers; each once.
+fn named_libraries(format: Format, model: &Path, front: &[u8]) -> BTreeSet<PathBuf> {
     let prefix: &[u8] = match format {
         Format::Obj => b"mtllib",
         Format::Ply => b"comment mtllib",
-        Format::Stl => return Vec::new(),
+        Format::Stl => return BTreeSet::new(),
         #[cfg(feature = "gltf")]
-        Format::Gltf => return gltf::named_files(model),
+        Format::Gltf => return gltf::named_files(model).into_iter().collect(),
     };
     let lines = front.split(|byte| matches!(byte, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
     let names = lines.filter_map(|line| line.strip_prefix(prefix)).filter(|rest| rest.starts_with(b" "));

@@ -145,9 +145,9 @@ impl Model {
 pub struct SourceRecord {
     /// Size of the model file in bytes.
     pub file_bytes: u64,
-    /// Modification time in nanoseconds since 1970, of the model file and the material files it names (latest).
+    /// Modification time in nanoseconds since 1970, of the model file and the material or buffer files it names (latest).
     pub modified_ns: u64,
-    /// XXH3 over size, first and last 64 KiB of the model file.
+    /// XXH3 over size, first and last 64 KiB of the model file, and of each of those files.
     pub fingerprint: u64,
 }
 

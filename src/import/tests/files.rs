@@ -139,6 +139,24 @@ fn source_records_notice_changes() {
     assert!(source_record(Path::new("absent.obj")).is_err());
 }
 
+/// Archives and copies keep times, which are often older than the model's own.
+#[test]
+fn source_records_notice_libraries_that_are_older_than_the_model() {
+    let folder = Folder::new();
+    let path = folder.write("x.obj", format!("mtllib a.mtl\n{SQUARE}f 1 2 3\n"));
+    let missing = source_record(&path).unwrap();
+    let earlier = std::time::SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1000);
+    let mut records = vec![missing];
+    for text in ["newmtl red\nKd 1 0 0\n", "newmtl red\nKd 0 0 1\n"] {
+        let mtl = folder.write("a.mtl", text);
+        fs::File::options().write(true).open(&mtl).unwrap().set_modified(earlier).unwrap();
+        let record = source_record(&path).unwrap();
+        assert_eq!(record.modified_ns, missing.modified_ns);
+        assert!(!records.contains(&record), "{text}");
+        records.push(record);
+    }
+}
+
 /// Names in an encoding of one's own country are no UTF-8, and differ all the same.
 #[test]
 fn materials_with_names_in_other_encodings_are_told_apart() {
