@@ -61,7 +61,11 @@ pub(super) fn read(
         if window.data().starts_with(BYTE_ORDER_MARK) {
             window.consume(BYTE_ORDER_MARK.len());
         }
-        Text { window: &mut window, line: 1 }.read(&mut feed)?;
+        let is_closed = Text { window: &mut window, line: 1 }.read(&mut feed)?;
+        if !is_closed {
+            // Text states no count of facets: nothing else tells a file that was cut between two of them.
+            feed.report.warn(name, None, "the file ends without `endsolid`: it may be cut short");
+        }
     } else {
         read_binary(&mut window, name, &mut feed)?;
     }
@@ -166,12 +170,15 @@ struct Text<'w, 'a> {
 struct Facet {
     /// The line on which it starts.
     open: Option<u64>,
+    /// Whether a `solid` has begun and not ended.
+    in_solid: bool,
     in_loop: bool,
     corners: Vec<u32>,
 }
 
 impl Text<'_, '_> {
-    fn read(&mut self, feed: &mut Feed<'_>) -> Result<(), ImportError> {
+    /// Whether the last solid is closed, as the format wants it.
+    fn read(&mut self, feed: &mut Feed<'_>) -> Result<bool, ImportError> {
         let mut state = Facet::default();
         while let Some((length, end_bytes)) = self.next_line()? {
             self.statement(trimmed(&self.window.data()[..length]), &mut state, feed)?;
@@ -181,7 +188,7 @@ impl Text<'_, '_> {
         }
         match state.open {
             Some(line) => Err(self.error(format!("the file ends inside the facet of line {line}"))),
-            None => Ok(()),
+            None => Ok(!state.in_solid),
         }
     }
 
@@ -231,8 +238,10 @@ impl Text<'_, '_> {
                     self.error("a facet on the line of `solid`; each statement needs a line of its own")
                 );
             }
+            b"" => {}
             // The name behind these may be anything, and `end solid` is common.
-            b"" | b"solid" | b"endsolid" | b"end" => {}
+            b"solid" => facet.in_solid = true,
+            b"endsolid" | b"end" => facet.in_solid = false,
             _ if facet.in_loop || facet.open.is_some() => {
                 return Err(self.error(format!("`{}` inside a facet", shown(&keyword))));
             }

@@ -56,6 +56,19 @@ fn binary_files_with_wrong_counts() {
 }
 
 #[test]
+fn text_that_is_cut_between_facets_is_told() {
+    let whole = format!("solid a\n{}{}endsolid a\n", facet(1.0), facet(2.0));
+    assert_eq!(stl(&whole).unwrap().1.warning_count, 0);
+    assert_eq!(stl(whole.replace("endsolid", "end solid")).unwrap().1.warning_count, 0);
+    // What stays of a `facet` or an `endsolid` is none.
+    for end in ["", "  fac", "endso"] {
+        let (mesh, report) = stl(format!("solid a\n{}{end}", facet(1.0))).unwrap();
+        assert_eq!((mesh.triangles.len(), report.warning_count), (1, 1), "{end}");
+        assert_eq!(report.warnings[0].text, "the file ends without `endsolid`: it may be cut short");
+    }
+}
+
+#[test]
 fn text_files() {
     let text =
         format!("solid a name\n{}{}endsolid\nsolid b\n{}endsolid b\n", facet(1.0), facet(2.5), facet(0.1));
