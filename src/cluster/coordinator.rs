@@ -10,7 +10,7 @@ use super::picture::Picture;
 use super::{Action, RoleOptions};
 use crate::block::checksum;
 use crate::budget::MemoryBudget;
-use crate::error::{BudgetError, ScheduleError};
+use crate::error::{BudgetError, RenderError, ScheduleError};
 use crate::render::Film;
 use crate::schedule::{
     AdaptiveScheduler, Answer, Assignment, ImageGrid, Notice, ScheduleProgress, SchedulerOptions, Spent,
@@ -198,6 +198,9 @@ impl Coordinator {
         scheduler: AdaptiveScheduler,
         budget: &MemoryBudget,
     ) -> Result<Coordinator, CoordinatorError> {
+        // Else each worker would refuse the job, and the coordinator wait for others.
+        job.scene.validate()?;
+        job.settings.validate()?;
         let picture = Picture::new(scheduler.grid().clone(), budget)?;
         let job_frame = Message::Job(Box::new(job.clone())).try_frame()?;
         let records = vec![Record::Start(scheduler.checkpoint())];
@@ -685,6 +688,9 @@ pub enum CoordinatorError {
     /// Options that make no sense.
     #[error(transparent)]
     Schedule(#[from] ScheduleError),
+    /// Nobody can render the job: a number in its scene or its settings makes no sense.
+    #[error(transparent)]
+    Job(#[from] RenderError),
     /// The picture does not fit.
     #[error(transparent)]
     Budget(#[from] BudgetError),

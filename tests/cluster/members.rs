@@ -8,6 +8,7 @@ use outcrop::cluster::{
     Action, Coordinator, CoordinatorError, LeasedCells, MESSAGE_VERSION, Message, Record, Role, Worker,
     WorkerAction, WorkerEvent,
 };
+use outcrop::scene::Light;
 use outcrop::transport::{PeerId, TransportEvent};
 use outcrop::units::Bytes;
 
@@ -38,6 +39,22 @@ fn result(tile: u32, cells: u64, pixels: usize) -> Vec<u8> {
     let blocks = BlockSketch::default();
     Message::Result { lane: 0, what, is_last: true, micros: 1, work: 1.0, blocks }
         .frame_with(&vec![0; 12 * pixels])
+}
+
+#[test]
+fn a_job_that_nobody_can_render_is_refused_before_workers_come() {
+    let refused = |job| {
+        let budget = MemoryBudget::new(Bytes::mib(16));
+        let error = Coordinator::new(job, coordinator_options(1, 1), &budget).map(drop).unwrap_err();
+        assert!(matches!(error, CoordinatorError::Job(_)), "{error}");
+        error.to_string()
+    };
+    let mut without_samples = job();
+    without_samples.settings.samples_per_pixel = 0;
+    assert!(refused(without_samples).contains("samples per pixel"));
+    let mut too_dark = job();
+    too_dark.scene = too_dark.scene.with_light(Light::point([0.0; 3], [-1.0; 3]));
+    assert!(refused(too_dark).contains("light"));
 }
 
 #[test]
