@@ -175,13 +175,10 @@ pub fn coordinate(
     crew.wait();
 
     done.film().write(&options.output)?;
-    let beside = |what: &str| {
-        let stem = options.output.file_stem().unwrap_or_default().to_string_lossy();
-        options.output.with_file_name(format!("{stem}-{what}"))
-    };
-    let (map, timeline) = (beside("map.png"), beside("timeline.svg"));
+    let [map, timeline] = options.beside_output();
     done.map(&budget)?.write(&map)?;
-    std::fs::write(&timeline, timeline_svg(done.lanes(), done.spans()))?;
+    std::fs::write(&timeline, timeline_svg(done.lanes(), done.spans()))
+        .map_err(|error| format!("cannot write {}: {error}", timeline.display()))?;
     report(&done);
     println!("wrote {}, {} and {}", options.output.display(), map.display(), timeline.display());
     if !done.is_finished() {
@@ -190,7 +187,9 @@ pub fn coordinate(
     }
     // Its lock is gone: another coordinator of the same picture may have been faster.
     match std::fs::remove_file(&options.checkpoint) {
-        Err(error) if error.kind() != ErrorKind::NotFound => return Err(error.into()),
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            return Err(format!("cannot remove {}: {error}", options.checkpoint.display()).into());
+        }
         _ => {}
     }
     if options.verify {

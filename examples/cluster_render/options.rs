@@ -1,7 +1,8 @@
 //! The command line of `cluster_render`.
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use outcrop::cluster::{HostRole, Hosts};
@@ -184,6 +185,13 @@ impl Options {
         };
         options.readers_asked = readers;
         options.readers = readers.unwrap_or(alone);
+        if hosts.is_none() && node.is_some() {
+            return Err("--node: a line of which host file? Give it with --hosts".into());
+        }
+        // Else a picture of this machine's own would be made, and nobody join the other.
+        if hosts.is_none() && options.role.is_none() && options.connect.is_some() {
+            return Err("--connect: as what? Give --role worker or --role reader".into());
+        }
         if let Some(path) = hosts {
             let text =
                 std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
@@ -191,6 +199,16 @@ impl Options {
         }
         options.checkpoint = checkpoint.unwrap_or_else(|| options.output.with_extension("checkpoint"));
         ImageFormat::of_path(&options.output)?;
+        // A checkpoint is removed when the picture is done.
+        let [map, timeline] = options.beside_output();
+        let written = [&options.output, &map, &timeline].map(|path| place_of(path));
+        if written.contains(&place_of(&options.checkpoint)) {
+            return Err(format!(
+                "--checkpoint {}: a file of that name is written with the picture; choose another",
+                options.checkpoint.display()
+            )
+            .into());
+        }
         if options.workers == 0 || options.lanes == 0 {
             return Err("--workers and --lanes must be at least 1".into());
         }
@@ -205,6 +223,12 @@ impl Options {
             return Err("--peers: it is for starting everything here, with as many readers as workers; elsewhere, see --serve".into());
         }
         Ok(Some(options))
+    }
+
+    /// The map of who rendered what, and the timeline.
+    pub fn beside_output(&self) -> [PathBuf; 2] {
+        let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
+        ["map.png", "timeline.svg"].map(|what| self.output.with_file_name(format!("{stem}-{what}")))
     }
 
     /// Takes role and addresses from a host file.
@@ -229,4 +253,10 @@ impl Options {
         }
         Ok(())
     }
+}
+
+/// The folder of a file, if it is there, and the file's name in it.
+fn place_of(path: &Path) -> (Option<PathBuf>, Option<&OsStr>) {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    (folder.unwrap_or(Path::new(".")).canonicalize().ok(), path.file_name())
 }
