@@ -261,7 +261,7 @@ fn is_one(first: &Named, second: &Named) -> bool {
 }
 
 /// A name that all names of a file share, links by another name (hard links) left aside.
-fn place_of(path: &Path) -> PathBuf {
+pub fn place_of(path: &Path) -> PathBuf {
     if let Ok(place) = path.canonicalize() {
         return place;
     }

@@ -63,8 +63,15 @@ pub fn picture(
     summary: &mut Summary,
 ) -> Result<Option<Made>, Box<dyn Error>> {
     files::check_parts(options, &parts.models)?;
-    let (mut compiled, mut sources) = (Vec::new(), Vec::new());
-    for (file, part) in &parts.models {
+    let (mut compiled, mut sources) = (Vec::new(), Vec::<Arc<dyn BlockSource>>::new());
+    for (number, (file, part)) in parts.models.iter().enumerate() {
+        // A file that the scene names twice has one compiled file, which is made once.
+        let is_it =
+            |(other, of): &(PathBuf, GltfPart)| of == part && files::place_of(other) == files::place_of(file);
+        if let Some(before) = parts.models[..number].iter().position(is_it) {
+            sources.push(Arc::clone(&sources[before]));
+            continue;
+        }
         let options = Options { model: Some(file.clone()), part: part.clone(), ..options.clone() };
         let Some(model) = compiled::prepare(&options, budget, interrupt, meter)? else { return Ok(None) };
         meter.finish();
