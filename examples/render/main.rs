@@ -95,10 +95,11 @@ fn job(
         // Who is in a hurry for a first picture wants it traced soon, not fast.
         Origin::Lazy(model) => (Arc::clone(model) as Arc<dyn BlockSource>, TreeQuality::Quick),
     };
-    let picture = render(options, source, budget, interrupt, &mut meter, summary)?;
+    let (picture, recorded) = render(options, source, budget, interrupt, &mut meter, summary)?;
     meter.finish();
     // The picture first: a full disk must not lose it.
     let code = finish(options, &picture, summary)?;
+    recorded?;
     keep_lazy(&compiled, summary)?;
     Ok(code)
 }
@@ -203,6 +204,7 @@ fn open(
     })
 }
 
+/// The picture, and whether the accesses of `--record-accesses` could be written.
 fn render(
     options: &Options,
     (source, quality): (Arc<dyn BlockSource>, TreeQuality),
@@ -210,7 +212,7 @@ fn render(
     interrupt: &Interrupt,
     meter: &mut Meter,
     summary: &mut Summary,
-) -> Result<Picture, Box<dyn Error>> {
+) -> Result<(Picture, Result<(), String>), Box<dyn Error>> {
     let settings = options.settings;
     let threads = Threads::Count(options.threads as usize);
     let mut scene = scene(options, &source.model().bounds, budget)?;
@@ -230,12 +232,11 @@ fn render(
     summary.opened(&octree, picture_bytes);
     let renderer = Renderer::new(&octree, &scene, &settings, budget)?;
     let picture = draw(&renderer, options, for_layers, interrupt, meter)?;
-    if let Some((path, recorder)) = recording {
-        recorder.finish()?;
-        meter.finish();
-        summary.accesses(path, &MissRatioCurve::of(&AccessTrace::open(path)?));
-    }
-    Ok(picture)
+    let Some((path, recorder)) = recording else { return Ok((picture, Ok(()))) };
+    let trace = recorder.finish().and_then(|_| AccessTrace::open(path));
+    meter.finish();
+    let recorded = trace.map(|trace| summary.accesses(path, &MissRatioCurve::of(&trace)));
+    Ok((picture, recorded.map_err(|error| format!("{}: {error}", path.display()))))
 }
 
 fn octree_options(options: &Options, quality: TreeQuality) -> OctreeOptions {
