@@ -465,9 +465,9 @@ impl Default for Options {
     }
 }
 
-/// Whether a file is glTF, by its name.
+/// Whether a file is glTF, by its name, in any case of letters as for the import.
 pub fn is_gltf(path: &Path) -> bool {
-    path.extension().is_some_and(|kind| kind == "gltf" || kind == "glb")
+    path.extension().is_some_and(|kind| ["gltf", "glb"].iter().any(|known| kind.eq_ignore_ascii_case(known)))
 }
 
 /// A position, and an intensity if there is a fourth number.
