@@ -242,7 +242,8 @@ impl Options {
                 "--lazy" => options.lazy = true,
                 "--block-bytes" => {
                     let bytes: Bytes = arguments.value()?;
-                    options.block_bytes = Some(u32::try_from(bytes.0)?);
+                    // What does not fit is far too large, and refused as such.
+                    options.block_bytes = Some(u32::try_from(bytes.0).unwrap_or(u32::MAX));
                 }
                 "--codec" => {
                     options.codec = Some(arguments.choice(&Codec::ALL.map(|kind| (kind.name(), kind)))?);
@@ -310,6 +311,9 @@ impl Options {
         self.settings.waiting = self.waiting.unwrap_or(self.settings.waiting);
         self.settings.loader_threads = self.loaders;
         if self.compile_only {
+            if self.lazy {
+                return Err("--lazy and --compile-only: a lazy compile only does what a picture needs; give one of them".into());
+            }
             if given.output.is_some() && self.compiled.is_some() {
                 return Err(
                     "-o and --compiled: both name the compiled file with --compile-only; give one of them"
@@ -397,6 +401,10 @@ impl Options {
             (self.compiled.is_some(), "--compiled"),
             (self.compile_only, "--compile-only"),
             (self.record_accesses.is_some(), "--record-accesses"),
+            // Their hits are always certified, and their rays traced in order.
+            (self.tier != Tier::Certified, "--tier"),
+            (matches!(self.waiting, Some(WaitingRays::Count(_))), "--waiting"),
+            (self.loaders > 0, "--loaders"),
         ];
         match given.into_iter().find(|(is_given, _)| *is_given) {
             Some((_, option)) => {
