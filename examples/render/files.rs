@@ -2,8 +2,8 @@
 
 use std::error::Error;
 use std::fmt::{self, Display, Formatter};
-use std::fs::{self, OpenOptions};
-use std::io::ErrorKind;
+use std::fs::{self, File, OpenOptions};
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use outcrop::MemoryBudget;
@@ -168,17 +168,20 @@ fn outputs(options: &Options) -> Vec<Named> {
     outputs
 }
 
+/// What is kept beside a compiled file.
+const BESIDE: [&str; 2] = ["the working file", "the file of tiles"];
+
 /// The compiled file of a model, and what is kept beside it.
 fn compiled_files(options: &Options, model: &Path) -> Vec<Named> {
     let path = options.compiled.clone().unwrap_or_else(|| compiled::file_of(model));
     let beside =
         |what: &'static str, path: PathBuf| Named { what, path, ..of_compile(options, PathBuf::new()) };
-    let tiles = beside("the file of tiles", compiled::tiles_of(options, model));
+    let tiles = beside(BESIDE[1], compiled::tiles_of(options, model));
     // A compiled file is read as it is.
     if compiled::is_compiled(model) {
         return vec![tiles];
     }
-    let working = beside("the working file", LazyModel::working_path(&path));
+    let working = beside(BESIDE[0], LazyModel::working_path(&path));
     vec![of_compile(options, path), working, tiles]
 }
 
@@ -193,7 +196,26 @@ fn check_compiled(files: &[Named]) -> Result<(), Box<dyn Error>> {
         }
         refuse_foreign(&file.path)?;
     }
+    for file in files.iter().filter(|file| BESIDE.contains(&file.what)) {
+        refuse_foreign_beside(&file.path)?;
+    }
     Ok(())
+}
+
+/// Refuses to empty a file that only happens to have the name of one that is kept beside a compiled file.
+fn refuse_foreign_beside(path: &Path) -> Result<(), String> {
+    refuse_irregular(path)?;
+    let mut start = Vec::new();
+    // Who opens it says what is wrong.
+    let Ok(_) = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start)) else { return Ok(()) };
+    // A working file has no header until its cells are there.
+    if start.is_empty() || start == [0; 4] || start == *b"\x89out" {
+        return Ok(());
+    }
+    Err(format!(
+        "{} is something else than what would be kept under that name: move it away, or choose another with --compiled",
+        path.display()
+    ))
 }
 
 fn refuse_unwritable(file: &Named) -> Result<(), String> {
