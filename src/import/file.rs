@@ -165,10 +165,13 @@ pub fn source_record_of(
     Ok(record)
 }
 
+/// A file and what the system says of it. Opening a pipe would wait for whoever writes to it.
 fn opened(path: &Path) -> io::Result<(File, std::fs::Metadata)> {
-    let file = File::open(path)?;
-    let metadata = file.metadata()?;
-    Ok((file, metadata))
+    let metadata = path.metadata()?;
+    if !metadata.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "is not a file"));
+    }
+    Ok((File::open(path)?, metadata))
 }
 
 /// Adds the size and both ends of a file to a fingerprint.

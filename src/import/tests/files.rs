@@ -155,6 +155,15 @@ fn source_records_notice_libraries_that_are_older_than_the_model() {
         assert!(!records.contains(&record), "{text}");
         records.push(record);
     }
+    // A pipe is none; opening it would wait for whoever writes to it.
+    #[cfg(unix)]
+    {
+        let mtl = path.with_file_name("a.mtl");
+        fs::remove_file(&mtl).unwrap();
+        let made = std::process::Command::new("mkfifo").arg(&mtl).status().unwrap();
+        assert!(made.success());
+        assert_eq!(source_record(&path).unwrap(), missing);
+    }
 }
 
 /// Names in an encoding of one's own country are no UTF-8, and differ all the same.
