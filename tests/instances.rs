@@ -275,6 +275,24 @@ fn lattice_models() {
 }
 
 #[test]
+fn rays_from_beyond_the_domain_hit_nothing() {
+    let mut random = Random(12);
+    let models = [soup(&mut random, 30, 0.5)];
+    let instances = [0.0, 1e7, 1e12].map(|shift| Instance { model: 0, map: Affine::translation([shift; 3]) });
+    for instance in instances {
+        let mut rays = Vec::new();
+        for distance in [1e77, 1e150, 1e300] {
+            for (corners, ..) in written(&models, &[instance]) {
+                let toward = random.vector(1.0);
+                let origin = [0, 1, 2].map(|axis| corners[0][axis] - distance * toward[axis]);
+                rays.push(Ray::new(origin, toward));
+            }
+        }
+        assert_eq!(check_everywhere(&models, Precision::Float32, &[instance], &rays), 0);
+    }
+}
+
+#[test]
 fn equal_hits_go_to_the_first_instance() {
     let mut random = Random(15);
     let models = [soup(&mut random, 40, 0.8), soup(&mut random, 3, 0.8)];

@@ -300,6 +300,28 @@ fn lattice_models_far_out_and_wide() {
 }
 
 #[test]
+fn rays_from_beyond_the_domain_hit_nothing() {
+    let mut random = Random(8);
+    for shift in [0.0, 1e7, 1e12] {
+        let lattice = outcrop::geom::Lattice { exponent: -10 };
+        let mut corner =
+            || random.vector(1.0).map(|x| lattice.position(lattice.quantize(shift + x).unwrap()));
+        let triangles: Triangles = (0..30).map(|_| [corner(), corner(), corner()]).collect();
+        let mut far = Vec::new();
+        for distance in [1e77, 1e150, 1e300] {
+            for triangle in &triangles {
+                let toward = random.vector(1.0);
+                let origin = [0, 1, 2].map(|axis| triangle[0][axis] - distance * toward[axis]);
+                far.push(Ray::new(origin, toward));
+                far.push(Ray::new(origin, toward.map(|x| x * distance)));
+            }
+        }
+        assert!(far.iter().all(|ray| all_hits(&triangles, ray).is_empty()));
+        check_everywhere(&triangles, Precision::Lattice(lattice), &far);
+    }
+}
+
+#[test]
 fn rays_from_far_away_and_of_any_length() {
     let mut random = Random(7);
     let triangles = soup(&mut random, 300, 0.2, 1.0, [0.0; 3]);

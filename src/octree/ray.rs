@@ -133,7 +133,11 @@ impl Careful {
         let error = (query.origin_error + COORDINATE_ROUNDING) * space.frame.scale;
         let parallel = ParallelAxes::new(direction, error as f32 * (1.0 + 1e-6), &space.parallel);
         let direction_sum = (1.0 + 1e-6) * direction.iter().map(|x| x.abs() as f32).sum::<f32>();
-        let query = QueryRay { widen: parallel.widen(), direction_sum, ..query };
+        let mut query = QueryRay { widen: parallel.widen(), direction_sum, ..query };
+        if direction == [0.0; 3] {
+            // Refused; from far beside the model it would meet the lanes of nodes that hold no box.
+            query.origin = space.frame.base;
+        }
         Careful { query, direction: direction.map(|x| x as f32), parallel }
     }
 
