@@ -134,6 +134,10 @@ impl RayFrame {
         (line.t_min, line.t_max) = (f64::NEG_INFINITY, f64::INFINITY);
         let exact = triangle_exact::intersect(&line, vertices)?;
         let hit = line.intersect(vertices, &mut 0).unwrap_or(exact);
+        if hit.t == f64::MAX {
+            // It may lie beyond the range of f64, and then beyond every finite end.
+            return self.intersect(vertices, &mut 0);
+        }
         (hit.t >= self.t_min && hit.t <= self.t_max).then_some(hit)
     }
 }

@@ -186,6 +186,18 @@ proptest! {
     }
 }
 
+#[test]
+fn what_overflows_is_beyond_every_finite_end_in_both_ways_to_decide() {
+    let vertices = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]];
+    let mut frame = RayFrame::new(&Ray::new([0.25, 0.5, 0.0], [0.0, 0.0, f64::from_bits(1)]));
+    for (t_max, is_hit) in [(f64::INFINITY, true), (f64::MAX, false)] {
+        frame.t_max = t_max;
+        let hit = frame.intersect(&vertices, &mut 0);
+        assert_eq!(hit.map(|hit| hit.t), is_hit.then_some(f64::MAX));
+        assert_eq!(frame.intersect_exactly(&vertices), hit);
+    }
+}
+
 /// Integers small enough for exact sums, at any scale that `robust` can take.
 fn small() -> impl Strategy<Value = [f64; 3]> {
     let range = -(1i64 << 20)..(1i64 << 20);
