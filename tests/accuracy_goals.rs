@@ -406,6 +406,15 @@ fn senseless_goals_and_foreign_knobs_are_refused() {
         let result = render_to_goal(&octree, &scene, &settings(), &bad, &Threads::One, &budget, go_on);
         assert!(matches!(result.map(|_| ()), Err(RenderError::Setting { .. })), "{bad:?}");
     }
+    // Before anything is worked out from it.
+    let side = u32::MAX;
+    for bad in [RenderSettings { tile_size: 0, ..settings() }, RenderSettings::new(side, side)] {
+        for goal in [Goal::MaxTime(Duration::from_secs(1)), Goal::Exact] {
+            let (goal, go_on) = (GoalOptions::new(goal), &mut |_| Control::Continue);
+            let result = render_to_goal(&octree, &scene, &bad, &goal, &Threads::One, &budget, go_on);
+            assert!(matches!(result.map(|_| ()), Err(RenderError::Setting { .. })), "{bad:?}");
+        }
+    }
     let knobs = to_goal(&octree, &budget, &scene, &exact).certificate.knobs;
     let foreign = Knobs { tier: Tier::Fast, ..knobs };
     let go_on = &mut |_| Control::Continue;

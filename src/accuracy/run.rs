@@ -64,6 +64,7 @@ pub fn render_to_goal(
     progress: &mut (dyn FnMut(GoalProgress) -> Control + Send),
 ) -> Result<GoalImage, RenderError> {
     options.validate()?;
+    settings.validate()?;
     let _reserved = budget.reserve(own_bytes(settings, options), "the choice of accuracy")?;
     // A closure of its own ends the callback's lifetime with the job's.
     let mut progress = |state: GoalProgress| progress(state);
@@ -135,6 +136,7 @@ pub(super) fn with_certificate(
     progress: &mut GoalProgressFn<'_>,
 ) -> Result<GoalImage, RenderError> {
     let options = GoalOptions::new(Goal::Exact);
+    settings.validate()?;
     let _reserved = budget.reserve(own_bytes(settings, &options), "the choice of accuracy")?;
     // A closure of its own ends the callback's lifetime with the job's.
     let mut progress = |state: GoalProgress| progress(state);
