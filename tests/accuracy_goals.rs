@@ -388,6 +388,34 @@ fn goals_can_be_cancelled_and_tell_how_far_they_are() {
     assert_eq!(budget.used(), used);
 }
 
+/// Also where it comes with a step's last tile.
+#[test]
+fn one_word_cancels_whenever_it_is_said() {
+    let (source, scene) = still_life();
+    let (octree, budget) = open(&source, Tier::Certified);
+    let options = GoalOptions::new(Goal::MaxError { metric: Metric::Rmse, bound: 0.02 });
+    let settings = RenderSettings { tile_size: 16, ..RenderSettings::new(24, 20) };
+    let run = |stop_at: usize| {
+        let mut calls = 0;
+        let result =
+            render_to_goal(&octree, &scene, &settings, &options, &Threads::One, &budget, &mut |_| {
+                calls += 1;
+                if calls == stop_at { Control::Cancel } else { Control::Continue }
+            });
+        (calls, result.map(|found| found.certificate.verdict))
+    };
+    let (calls, verdict) = run(usize::MAX);
+    assert!(verdict.unwrap() == Verdict::Met && calls > 10, "{calls}");
+    for stop_at in 1..calls {
+        let (asked, result) = run(stop_at);
+        assert_eq!(asked, stop_at, "asked again: {result:?}");
+        assert!(
+            matches!(result, Err(RenderError::Cancelled) | Ok(Verdict::Cancelled)),
+            "{stop_at}: {result:?}"
+        );
+    }
+}
+
 #[test]
 fn senseless_goals_and_foreign_knobs_are_refused() {
     let (source, scene) = still_life();

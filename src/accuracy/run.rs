@@ -66,8 +66,12 @@ pub fn render_to_goal(
     options.validate()?;
     settings.validate()?;
     let _reserved = budget.reserve(own_bytes(settings, options), "the choice of accuracy")?;
-    // A closure of its own ends the callback's lifetime with the job's.
-    let mut progress = |state: GoalProgress| progress(state);
+    // The last word of one step may be that the next is not wanted.
+    let mut is_cancelled = false;
+    let mut progress = |state: GoalProgress| {
+        is_cancelled = is_cancelled || progress(state) == Control::Cancel;
+        if is_cancelled { Control::Cancel } else { Control::Continue }
+    };
     let mut job = Job::new(octree, scene, settings, options, threads, budget, &mut progress);
     match options.goal {
         Goal::Exact => job.exact(),
