@@ -168,6 +168,18 @@ fn easy_goals_get_few_samples() {
     }
 }
 
+#[test]
+fn a_check_of_single_samples_is_told_in_words() {
+    let (source, scene) = still_life();
+    let (octree, budget) = open(&source, Tier::Certified);
+    let options = GoalOptions::new(Goal::MaxError { metric: Metric::Flip, bound: 1e3 });
+    let (settings, go_on) = (RenderSettings::new(12, 10), &mut |_| Control::Continue);
+    let found = render_to_goal(&octree, &scene, &settings, &options, &Threads::One, &budget, go_on).unwrap();
+    assert_eq!(found.certificate.check.map(|check| check.bias), Some(f64::INFINITY));
+    let text = found.certificate.to_string();
+    assert!(text.contains("further samples, which show an error") && !text.contains("inf"), "{text}");
+}
+
 /// Small features everywhere: pixels look finished by chance, and the certificate must know.
 #[test]
 fn noise_does_not_fool_the_certificate() {

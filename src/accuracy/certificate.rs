@@ -225,10 +225,12 @@ impl fmt::Display for Certificate {
             }
         }
         if let Some(SamplingCheck { pixels, samples, bias }) = self.check {
-            writeln!(
-                f,
-                "checked: {pixels} pixels with {samples} further samples, which show {bias:.2} times the error that the picture's own do"
-            )?;
+            write!(f, "checked: {pixels} pixels with {samples} further samples, which show ")?;
+            if bias.is_finite() {
+                writeln!(f, "{bias:.2} times the error that the picture's own do")?;
+            } else {
+                writeln!(f, "an error of which the picture's own say nothing")?;
+            }
         }
         if let Some(MissedFeatures { met, missed, rmse }) = self.missed.filter(|found| found.met > 0) {
             writeln!(
