@@ -12,7 +12,7 @@ mod summary;
 
 use std::error::Error;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Read};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -36,6 +36,7 @@ use outcrop::render::{Layers, Outcome, RenderedImage, Renderer, Threads};
 use outcrop::scene::{Camera, GltfView, Light, Scene};
 use outcrop::source::{DiskSource, MemorySource, MmapSource, PageCache};
 use outcrop::texture::Textures;
+use outcrop::units::Bytes;
 use outcrop::{BlockSource, MemoryBudget};
 use summary::Summary;
 
@@ -90,6 +91,7 @@ fn job(
     if options.compile_only {
         return Ok(ExitCode::SUCCESS);
     }
+    let _in_memory = reserve_source(options, &compiled.origin, budget)?;
     let source = match &compiled.origin {
         Origin::File(path) => (open(options, path, budget)?, TreeQuality::Best),
         // Who is in a hurry for a first picture wants it traced soon, not fast.
@@ -102,6 +104,18 @@ fn job(
     recorded?;
     keep_lazy(&compiled, summary)?;
     Ok(code)
+}
+
+/// Room for a compiled file that is to be held in memory.
+fn reserve_source(
+    options: &Options,
+    origin: &Origin,
+    budget: &MemoryBudget,
+) -> Result<Option<Reservation>, Box<dyn Error>> {
+    let (Origin::File(path), SourceKind::Memory) = (origin, options.source) else { return Ok(None) };
+    let bytes =
+        std::fs::metadata(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?.len();
+    Ok(Some(budget.reserve(Bytes(bytes), "the compiled file, which --source memory holds")?))
 }
 
 /// Tells that there is no picture because the user asked to stop.
@@ -198,10 +212,21 @@ fn open(
         SourceKind::Mmap => Arc::new(unsafe { MmapSource::open(path) }?),
         SourceKind::Memory => {
             let bytes =
-                std::fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+                read_shared(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
             Arc::new(MemorySource::new(bytes)?)
         }
     })
+}
+
+/// A whole file, held once at all times.
+fn read_shared(path: &Path) -> std::io::Result<Arc<[u8]>> {
+    let mut file = File::open(path)?;
+    let mut bytes: Arc<[u8]> = std::iter::repeat_n(0, file.metadata()?.len() as usize).collect();
+    // Nobody else has it yet.
+    if let Some(bytes) = Arc::get_mut(&mut bytes) {
+        file.read_exact(bytes)?;
+    }
+    Ok(bytes)
 }
 
 /// The picture, and whether the accesses of `--record-accesses` could be written.

@@ -88,6 +88,26 @@ fn a_failed_write_leaves_the_old_file_and_no_other() {
     assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1);
 }
 
+#[cfg(unix)]
+#[test]
+fn links_stay_and_pipes_are_written_to() {
+    let directory = tempfile::tempdir().unwrap();
+    let [picture, link, pipe] = ["a.pfm", "b.pfm", "c.pfm"].map(|name| directory.path().join(name));
+    fs::write(&picture, "old").unwrap();
+    std::os::unix::fs::symlink(&picture, &link).unwrap();
+    film().write(&link).unwrap();
+    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    let expected = fs::read(&picture).unwrap();
+    assert_ne!(expected, b"old");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    std::thread::scope(|scope| {
+        let reader = scope.spawn(|| fs::read(&pipe).unwrap());
+        film().write(&pipe).unwrap();
+        assert_eq!(reader.join().unwrap(), expected);
+    });
+    assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 3);
+}
+
 #[test]
 fn errors_name_the_path() {
     let film = film();
