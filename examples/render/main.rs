@@ -28,6 +28,7 @@ use options::{Command, Options, SourceKind};
 use outcrop::access::{AccessTrace, MissRatioCurve};
 use outcrop::budget::Reservation;
 use outcrop::compile::Control;
+use outcrop::error::{LoadError, RenderError, TraceError};
 use outcrop::free_memory::FollowFreeMemory;
 use outcrop::geom::Aabb;
 use outcrop::model::MaterialRecord;
@@ -97,13 +98,28 @@ fn job(
         // Who is in a hurry for a first picture wants it traced soon, not fast.
         Origin::Lazy(model) => (Arc::clone(model) as Arc<dyn BlockSource>, TreeQuality::Quick),
     };
-    let (picture, recorded) = render(options, source, budget, interrupt, &mut meter, summary)?;
+    let rendered = render(options, source, budget, interrupt, &mut meter, summary);
+    let (picture, recorded) = rendered.map_err(|error| with_file(error, &compiled.origin))?;
     meter.finish();
     // The picture first: a full disk must not lose it.
     let code = finish(options, &picture, summary)?;
     recorded?;
     keep_lazy(&compiled, summary)?;
     Ok(code)
+}
+
+/// What is damaged names the block; the user knows the file.
+fn with_file(error: Box<dyn Error>, origin: &Origin) -> Box<dyn Error> {
+    let damaged = match error.downcast_ref() {
+        Some(RenderError::Trace(TraceError::Load(error))) => {
+            matches!(error, LoadError::Block(_) | LoadError::Attributes(_))
+        }
+        _ => false,
+    };
+    match origin {
+        Origin::File(path) if damaged => format!("{}: {error}", path.display()).into(),
+        _ => error,
+    }
 }
 
 /// Room for a compiled file that is to be held in memory.
