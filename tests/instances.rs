@@ -278,7 +278,8 @@ fn lattice_models() {
 fn rays_from_beyond_the_domain_hit_nothing() {
     let mut random = Random(12);
     let models = [soup(&mut random, 30, 0.5)];
-    let instances = [0.0, 1e7, 1e12].map(|shift| Instance { model: 0, map: Affine::translation([shift; 3]) });
+    let instances =
+        [0.0, 1e7, 1e12, 1e25, 1e40].map(|shift| Instance { model: 0, map: Affine::translation([shift; 3]) });
     for instance in instances {
         let mut rays = Vec::new();
         for distance in [1e77, 1e150, 1e300] {

@@ -129,15 +129,15 @@ impl Careful {
 
     /// With what follows from a query's start and direction.
     #[inline(always)]
-    fn new(query: QueryRay, direction: [f64; 3], space: &Space) -> Careful {
+    fn new(mut query: QueryRay, direction: [f64; 3], space: &Space) -> Careful {
+        if direction == [0.0; 3] {
+            // Refused, and without an origin. From far beside the model it would meet the lanes of nodes that hold no box.
+            (query.origin, query.origin_error, query.t_start) = (space.frame.base, 0.0, 0.0);
+        }
         let error = (query.origin_error + COORDINATE_ROUNDING) * space.frame.scale;
         let parallel = ParallelAxes::new(direction, error as f32 * (1.0 + 1e-6), &space.parallel);
         let direction_sum = (1.0 + 1e-6) * direction.iter().map(|x| x.abs() as f32).sum::<f32>();
-        let mut query = QueryRay { widen: parallel.widen(), direction_sum, ..query };
-        if direction == [0.0; 3] {
-            // Refused; from far beside the model it would meet the lanes of nodes that hold no box.
-            query.origin = space.frame.base;
-        }
+        let query = QueryRay { widen: parallel.widen(), direction_sum, ..query };
         Careful { query, direction: direction.map(|x| x as f32), parallel }
     }
 
