@@ -17,6 +17,7 @@ use super::ply;
 use super::report::{ImportOptions, ImportReport};
 use super::sink::MeshSink;
 use super::stl;
+use super::text::{is_blank, trimmed};
 use crate::error::ImportError;
 use crate::model::SourceRecord;
 
@@ -197,14 +198,19 @@ fn modified_ns(metadata: &std::fs::Metadata) -> io::Result<u64> {
 
 /// Material libraries that the first bytes of a model file name and that are there, or buffers; each once.
 fn named_libraries(format: Format, model: &Path, front: &[u8]) -> BTreeSet<PathBuf> {
-    let prefix: &[u8] = match format {
-        Format::Obj => b"mtllib",
-        Format::Ply => b"comment mtllib",
+    let keywords: &[&[u8]] = match format {
+        Format::Obj => &[b"mtllib"],
+        Format::Ply => &[b"comment", b"mtllib"],
         Format::Stl => return BTreeSet::new(),
         #[cfg(feature = "gltf")]
         Format::Gltf => return gltf::named_files(model).into_iter().collect(),
     };
-    let lines = front.split(|byte| matches!(byte, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
-    let names = lines.filter_map(|line| line.strip_prefix(prefix)).filter(|rest| rest.starts_with(b" "));
+    let names = front.split(|byte| matches!(byte, b'\n' | b'\r')).filter_map(|line| {
+        let mut rest = trimmed(line);
+        for keyword in keywords {
+            rest = trimmed(rest.strip_prefix(*keyword).filter(|rest| rest.first().is_some_and(is_blank))?);
+        }
+        Some(rest)
+    });
     names.flat_map(|names| library::libraries(model, names)).filter_map(|(_, path)| path).collect()
 }

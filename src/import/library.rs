@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::feed::Feed;
 use super::mtl;
 use super::report::{ImportOptions, ImportReport};
-use super::text::{self, shown};
+use super::text::{self, is_blank, shown, trimmed};
 use crate::error::ImportError;
 use crate::model::MaterialRecord;
 use crate::units::MaterialId;
@@ -154,7 +154,7 @@ impl<'a> Materials<'a> {
 
     /// The material of that name, for `usemtl`; with a warning, the default one if there is none.
     pub(super) fn named(&self, name: &[u8], line: u64, feed: &mut Feed<'_>) -> Option<MaterialId> {
-        let name = name.trim_ascii();
+        let name = trimmed(name);
         let id = self.by_name.get(&text::name(name)).copied();
         if id.is_none() {
             let text = format!("the material `{}` is not defined; the default one is used", shown(name));
@@ -170,9 +170,9 @@ pub(super) fn libraries<'t>(model: &Path, names: &'t [u8]) -> Vec<(&'t [u8], Opt
     const WORDS_MAX: usize = 64;
     let find = |name: &[u8]| candidates(model, name).into_iter().find(|path| path.is_file());
     let mut found = Vec::new();
-    let mut rest = names.trim_ascii();
+    let mut rest = trimmed(names);
     while !rest.is_empty() && found.len() < WORDS_MAX {
-        let blank = |index: &usize| rest.get(*index).is_none_or(u8::is_ascii_whitespace);
+        let blank = |index: &usize| rest.get(*index).is_none_or(is_blank);
         let ends: Vec<usize> =
             (1..=rest.len()).filter(|end| blank(end) && !blank(&(end - 1))).take(WORDS_MAX).collect();
         let longest = ends.iter().rev().find_map(|end| Some((*end, find(&rest[..*end])?)));
@@ -182,7 +182,7 @@ pub(super) fn libraries<'t>(model: &Path, names: &'t [u8]) -> Vec<(&'t [u8], Opt
             None => (ends[0], None),
         };
         found.push((&rest[..end], path));
-        rest = rest[end..].trim_ascii_start();
+        rest = trimmed(&rest[end..]);
     }
     found
 }

@@ -13,7 +13,7 @@ use super::meter::Meter;
 use super::number;
 use super::report::{ImportOptions, ImportReport};
 use super::sink::MeshSink;
-use super::text::{shown, trimmed, words};
+use super::text::{is_blank, shown, trimmed, words};
 use super::window::{WINDOW_BYTES, Window};
 use crate::error::ImportError;
 
@@ -81,7 +81,7 @@ const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 fn is_text(window: &Window<'_>) -> bool {
     let data = window.data();
     let text = data.strip_prefix(BYTE_ORDER_MARK).unwrap_or(data);
-    if !text.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid")) {
+    if !trimmed(text).get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid")) {
         return false;
     }
     if let (true, Some(header)) = (window.ended(), data.first_chunk::<HEADER_BYTES>()) {
@@ -91,7 +91,7 @@ fn is_text(window: &Window<'_>) -> bool {
         }
     }
     // The name of the solid may have any encoding, but no encoding of text has these.
-    let control = |byte: &u8| *byte < b' ' && !byte.is_ascii_whitespace() && !matches!(byte, 0x0B | 0x1A);
+    let control = |byte: &u8| *byte < b' ' && !is_blank(byte) && *byte != 0x1A;
     !data[..data.len().min(4096)].iter().any(control)
 }
 

@@ -147,7 +147,8 @@ pub struct SourceRecord {
     pub file_bytes: u64,
     /// Modification time in nanoseconds since 1970, of the model file and the material or buffer files it names (latest).
     pub modified_ns: u64,
-    /// XXH3 over size, first and last 64 KiB of the model file, and of each of those files.
+    /// XXH3 over size, first and last 64 KiB of the model file, and of each of those files: see
+    /// [`source_record`](crate::import::source_record).
     pub fingerprint: u64,
 }
 

@@ -138,7 +138,7 @@ pub(super) fn read(window: &mut Window<'_>) -> Result<Header, ImportError> {
         lines += 1;
         let Some(length) = memchr::memchr(line_end, rest) else {
             // `end_header` without a line end is complete if nothing follows it.
-            if window.ended() && rest.trim_ascii() == b"end_header" {
+            if window.ended() && trimmed(rest) == b"end_header" {
                 position = data.len();
                 break;
             }

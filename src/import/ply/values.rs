@@ -4,6 +4,7 @@ use super::header::{Encoding, Kind, Scalar};
 use crate::error::ImportError;
 use crate::import::decimal;
 use crate::import::number;
+use crate::import::text::is_blank;
 use crate::import::window::Window;
 
 /// Longest number in a text file.
@@ -161,9 +162,9 @@ impl<'w, 'a> Values<'w, 'a> {
     fn token(&mut self) -> Result<usize, ImportError> {
         loop {
             let data = self.window.data();
-            let blank = data.iter().position(|byte| !byte.is_ascii_whitespace()).unwrap_or(data.len());
+            let blank = data.iter().position(|byte| !is_blank(byte)).unwrap_or(data.len());
             let newlines = memchr::memchr_iter(b'\n', &data[..blank]).count() as u64;
-            let length = data[blank..].iter().take(TOKEN_BYTES_MAX + 1).position(u8::is_ascii_whitespace);
+            let length = data[blank..].iter().take(TOKEN_BYTES_MAX + 1).position(is_blank);
             let rest = data.len() - blank;
             self.line += newlines;
             self.window.consume(blank);

@@ -155,6 +155,14 @@ fn source_records_notice_libraries_that_are_older_than_the_model() {
         assert!(!records.contains(&record), "{text}");
         records.push(record);
     }
+    // Whatever blanks are about its name.
+    let tabs = folder.write("tabs.obj", format!("\u{B}mtllib\ta.mtl\n{SQUARE}f 1 2 3\n"));
+    let with = source_record(&tabs).unwrap();
+    folder.write("a.mtl", "newmtl red\nKd 0 1 1\n");
+    assert_ne!(source_record(&tabs).unwrap().fingerprint, with.fingerprint);
+    // The reader takes it and its materials by the same blanks.
+    let uses = folder.write("uses.obj", format!("\u{B}mtllib\u{B}a.mtl\n{SQUARE}usemtl\u{B}red\nf 1 2 3\n"));
+    assert_eq!(import(&uses).unwrap().1.warning_count, 0);
     // A pipe is none; opening it would wait for whoever writes to it.
     #[cfg(unix)]
     {
