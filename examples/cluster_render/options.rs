@@ -1,8 +1,7 @@
 //! The command line of `cluster_render`.
 
 use std::error::Error;
-use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use outcrop::cluster::{HostRole, Hosts};
@@ -10,6 +9,7 @@ use outcrop::render::{ImageFormat, WaitingRays};
 use outcrop::units::Bytes;
 
 use crate::common::arguments::Arguments;
+use crate::common::place::place_of;
 
 pub const HELP: &str = "\
 cluster_render: makes one picture with many processes, on this machine or on many
@@ -253,10 +253,4 @@ impl Options {
         }
         Ok(())
     }
-}
-
-/// The folder of a file, if it is there, and the file's name in it.
-fn place_of(path: &Path) -> (Option<PathBuf>, Option<&OsStr>) {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    (folder.unwrap_or(Path::new(".")).canonicalize().ok(), path.file_name())
 }

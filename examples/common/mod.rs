@@ -25,6 +25,7 @@ pub mod gears_view;
 pub mod interrupt;
 pub mod log_plot;
 pub mod memory_log;
+pub mod place;
 mod plot;
 pub mod process;
 pub mod progress;

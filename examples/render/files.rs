@@ -15,6 +15,7 @@ use outcrop::source::{DiskSource, PageCache};
 use outcrop::texture::{ImageKey, Textures};
 use outcrop::units::Bytes;
 
+use crate::common::place::place_of;
 use crate::compiled;
 use crate::options::Options;
 
@@ -37,11 +38,13 @@ struct Named {
     what: &'static str,
     path: PathBuf,
     role: Role,
+    /// Kept beside a compiled file, and emptied if it is not what it should be.
+    is_beside: bool,
 }
 
 impl Named {
     fn new(what: &'static str, path: impl Into<PathBuf>, role: Role) -> Named {
-        Named { what, path: path.into(), role }
+        Named { what, path: path.into(), role, is_beside: false }
     }
 }
 
@@ -68,7 +71,7 @@ pub fn check(options: &Options) -> Result<(), Box<dyn Error>> {
             scene.models.iter().flat_map(|model| compiled_files(options, &model.file)).collect()
         }
         (None, Some(model)) => compiled_files(options, model),
-        (None, None) => vec![of_compile(options, compiled::file_of_gears(options))],
+        (None, None) => with_working_file(options, compiled::file_of_gears(options)),
     };
     let outputs = outputs(options);
     for output in &outputs {
@@ -86,7 +89,7 @@ pub fn check(options: &Options) -> Result<(), Box<dyn Error>> {
 pub fn check_parts(options: &Options, parts: &[(PathBuf, GltfPart)]) -> Result<(), Box<dyn Error>> {
     let of_part = |(model, part): &(PathBuf, GltfPart)| match part {
         GltfPart::Scene => compiled_files(options, model),
-        part => vec![of_compile(options, compiled::beside_part(model, part))],
+        part => with_working_file(options, compiled::beside_part(model, part)),
     };
     let compiled: Vec<Named> = parts.iter().flat_map(of_part).collect();
     let files: Vec<Named> = outputs(options).into_iter().chain(compiled).collect();
@@ -168,21 +171,26 @@ fn outputs(options: &Options) -> Vec<Named> {
     outputs
 }
 
-/// What is kept beside a compiled file.
-const BESIDE: [&str; 2] = ["the working file", "the file of tiles"];
-
 /// The compiled file of a model, and what is kept beside it.
 fn compiled_files(options: &Options, model: &Path) -> Vec<Named> {
     let path = options.compiled.clone().unwrap_or_else(|| compiled::file_of(model));
-    let beside =
-        |what: &'static str, path: PathBuf| Named { what, path, ..of_compile(options, PathBuf::new()) };
-    let tiles = beside(BESIDE[1], compiled::tiles_of(options, model));
+    let tiles = beside(options, "the file of tiles", compiled::tiles_of(options, model));
     // A compiled file is read as it is.
     if compiled::is_compiled(model) {
         return vec![tiles];
     }
-    let working = beside(BESIDE[0], LazyModel::working_path(&path));
-    vec![of_compile(options, path), working, tiles]
+    with_working_file(options, path).into_iter().chain([tiles]).collect()
+}
+
+/// A compiled file, and where a lazy compile keeps what it has.
+fn with_working_file(options: &Options, path: PathBuf) -> Vec<Named> {
+    let working = beside(options, "the working file", LazyModel::working_path(&path));
+    vec![of_compile(options, path), working]
+}
+
+/// A file that is kept beside a compiled file.
+fn beside(options: &Options, what: &'static str, path: PathBuf) -> Named {
+    Named { is_beside: true, ..Named::new(what, path, of_compile(options, PathBuf::new()).role) }
 }
 
 fn of_compile(options: &Options, path: PathBuf) -> Named {
@@ -196,7 +204,7 @@ fn check_compiled(files: &[Named]) -> Result<(), Box<dyn Error>> {
         }
         refuse_foreign(&file.path)?;
     }
-    for file in files.iter().filter(|file| BESIDE.contains(&file.what)) {
+    for file in files.iter().filter(|file| file.is_beside) {
         refuse_foreign_beside(&file.path)?;
     }
     Ok(())
@@ -226,6 +234,15 @@ fn refuse_unwritable(file: &Named) -> Result<(), String> {
     }
     let tried = match fs::metadata(&file.path) {
         Ok(metadata) if metadata.is_dir() => return cannot("it is a folder".to_string()),
+        Ok(metadata) if file.role == Role::Picture && !metadata.is_file() => {
+            return cannot("it is a pipe or a device; name a file".to_string());
+        }
+        // The new one is made beside it first.
+        Ok(_) if file.role == Role::Picture => {
+            let mut beside = place_of(&file.path).into_os_string();
+            beside.push(".unfinished");
+            if Path::new(&beside).exists() { Ok(()) } else { try_to_make(Path::new(&beside)) }
+        }
         // Changes nothing; a pipe would wait for who reads it.
         Ok(metadata) if metadata.is_file() && file.role == Role::Report => {
             OpenOptions::new().append(true).open(&file.path).map(|_| ())
@@ -280,21 +297,6 @@ fn is_one(first: &Named, second: &Named) -> bool {
     let is_device = |path: &Path| fs::metadata(path).is_ok_and(|metadata| !metadata.is_file());
     !is_device(&first.path)
         && (place_of(&first.path) == place_of(&second.path) || is_one_inode(&first.path, &second.path))
-}
-
-/// A name that all names of a file share, links by another name (hard links) left aside.
-pub fn place_of(path: &Path) -> PathBuf {
-    if let Ok(place) = path.canonicalize() {
-        return place;
-    }
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    match (folder.canonicalize(), path.file_name()) {
-        (Ok(folder), Some(name)) => folder.join(name),
-        _ => path.to_path_buf(),
-    }
 }
 
 #[cfg(unix)]

@@ -16,6 +16,7 @@ use outcrop::{BlockSource, MemoryBudget};
 
 use crate::Picture;
 use crate::common::interrupt::Interrupt;
+use crate::common::place::place_of;
 use crate::common::progress::Meter;
 use crate::compiled::{self, Compiled, Origin};
 use crate::files;
@@ -64,10 +65,10 @@ pub fn picture(
 ) -> Result<Option<Made>, Box<dyn Error>> {
     files::check_parts(options, &parts.models)?;
     let (mut compiled, mut sources) = (Vec::new(), Vec::<Arc<dyn BlockSource>>::new());
+    let mut in_memory = Vec::new();
     for (number, (file, part)) in parts.models.iter().enumerate() {
         // A file that the scene names twice has one compiled file, which is made once.
-        let is_it =
-            |(other, of): &(PathBuf, GltfPart)| of == part && files::place_of(other) == files::place_of(file);
+        let is_it = |(other, of): &(PathBuf, GltfPart)| of == part && place_of(other) == place_of(file);
         if let Some(before) = parts.models[..number].iter().position(is_it) {
             sources.push(Arc::clone(&sources[before]));
             continue;
@@ -76,6 +77,7 @@ pub fn picture(
         let Some(model) = compiled::prepare(&options, budget, interrupt, meter)? else { return Ok(None) };
         meter.finish();
         summary.compiled(&model);
+        in_memory.push(crate::reserve_source(&options, &model.origin, budget)?);
         sources.push(match &model.origin {
             Origin::File(path) => crate::open(&options, path, budget)?,
             Origin::Lazy(model) => Arc::clone(model) as Arc<dyn BlockSource>,

@@ -103,8 +103,8 @@ fn job(
     meter.finish();
     // The picture first: a full disk must not lose it.
     let code = finish(options, &picture, summary)?;
-    recorded?;
     keep_lazy(&compiled, summary)?;
+    recorded?;
     Ok(code)
 }
 

@@ -66,7 +66,7 @@ compiled file
     --compiled FILE         keep the compiled file there instead of beside the model
     --recompile             compile even if the compiled file is up to date
     --copies                write meshes that a glTF file places more than once out in the compiled file, instead of sharing one of each;
-                            done anyway where sharing saves little, and with --compile-only, --compiled, --lazy, --record-accesses and --tier
+                            done anyway where sharing saves little, and with --compile-only, --compiled, --lazy, --record-accesses, --tier, --waiting and --loaders
     --lazy                  compile only what rays reach, and keep it in FILE.outcrop.working for the next time; done anyway
                             for a picture of a model that is not compiled, unless another option needs or asks for a compiled file
     --block-bytes BYTES     decoded size of a block, 4KiB to 256KiB (64KiB)
@@ -181,9 +181,19 @@ impl Options {
             || self.compiled.is_some()
             || self.lazy
             || self.record_accesses.is_some()
-            // Hits of instances are always certified.
-            || self.tier != Tier::Certified;
+            || self.asks_for_other_rays().is_some();
         self.model.as_deref().filter(|path| !is_for_one_model && is_gltf(path))
+    }
+
+    /// The option that rays through instances do not follow, if one is given: their hits are always certified, and they are traced in
+    /// order.
+    fn asks_for_other_rays(&self) -> Option<&'static str> {
+        let given = [
+            (self.tier != Tier::Certified, "--tier"),
+            (matches!(self.waiting, Some(WaitingRays::Count(_))), "--waiting"),
+            (self.loaders > 0, "--loaders"),
+        ];
+        given.into_iter().find_map(|(is_given, option)| is_given.then_some(option))
     }
 
     pub fn parse(mut arguments: Arguments) -> Result<Command, Box<dyn Error>> {
@@ -401,13 +411,10 @@ impl Options {
             (self.compiled.is_some(), "--compiled"),
             (self.compile_only, "--compile-only"),
             (self.record_accesses.is_some(), "--record-accesses"),
-            // Their hits are always certified, and their rays traced in order.
-            (self.tier != Tier::Certified, "--tier"),
-            (matches!(self.waiting, Some(WaitingRays::Count(_))), "--waiting"),
-            (self.loaders > 0, "--loaders"),
         ];
-        match given.into_iter().find(|(is_given, _)| *is_given) {
-            Some((_, option)) => {
+        let of_files = given.into_iter().find_map(|(is_given, option)| is_given.then_some(option));
+        match of_files.or_else(|| self.asks_for_other_rays()) {
+            Some(option) => {
                 Err(format!("{option}: not for scenes of several models or places as {}", path.display())
                     .into())
             }

@@ -188,11 +188,11 @@ impl Film {
     }
 
     /// Writes the picture as PNG, OpenEXR or PFM by the extension of `path`. The file appears under its name only
-    /// when it is whole; a failure leaves an existing file as it was.
+    /// when it is whole; a failure leaves an existing file as it was. A link stays, and what it names is replaced.
     ///
     /// # Errors
     /// [`RenderError::Setting`] for an extension that names no format of this build, [`RenderError::Write`] if the
-    /// file cannot be written.
+    /// file cannot be written, or is a pipe or a device.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<(), RenderError> {
         image::write(self, path.as_ref())
     }

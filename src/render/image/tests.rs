@@ -90,22 +90,22 @@ fn a_failed_write_leaves_the_old_file_and_no_other() {
 
 #[cfg(unix)]
 #[test]
-fn links_stay_and_pipes_are_written_to() {
+fn links_stay_and_pipes_are_refused() {
     let directory = tempfile::tempdir().unwrap();
-    let [picture, link, pipe] = ["a.pfm", "b.pfm", "c.pfm"].map(|name| directory.path().join(name));
-    fs::write(&picture, "old").unwrap();
-    std::os::unix::fs::symlink(&picture, &link).unwrap();
-    film().write(&link).unwrap();
-    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
-    let expected = fs::read(&picture).unwrap();
-    assert_ne!(expected, b"old");
-    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-    std::thread::scope(|scope| {
-        let reader = scope.spawn(|| fs::read(&pipe).unwrap());
-        film().write(&pipe).unwrap();
-        assert_eq!(reader.join().unwrap(), expected);
-    });
-    assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 3);
+    let place = |name: &str| directory.path().join(name);
+    fs::write(place("old.pfm"), "old").unwrap();
+    for (link, named) in [("a.pfm", "old.pfm"), ("b.pfm", "new.pfm")] {
+        std::os::unix::fs::symlink(named, place(link)).unwrap();
+        film().write(place(link)).unwrap();
+        assert!(fs::symlink_metadata(place(link)).unwrap().is_symlink());
+        film().write(place("expected.pfm")).unwrap();
+        assert_eq!(fs::read(place(named)).unwrap(), fs::read(place("expected.pfm")).unwrap());
+    }
+    assert!(std::process::Command::new("mkfifo").arg(place("pipe.pfm")).status().unwrap().success());
+    let error = film().write(place("pipe.pfm")).unwrap_err().to_string();
+    assert!(error.contains("pipe.pfm: it is a pipe"), "{error}");
+    assert!(!fs::metadata(place("pipe.pfm")).unwrap().is_file());
+    assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 6);
 }
 
 #[test]
