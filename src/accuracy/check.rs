@@ -25,7 +25,7 @@ pub struct SamplingCheck {
     pub samples: u64,
     /// The root mean square error that they show, over what half differences say. Above 1 where pixels stopped because their
     /// samples happened to agree; below 1 where half differences are too large, as those of stratified samples are; infinite where
-    /// all pixels have single samples, which have no halves, or halves that agree.
+    /// no pixel has halves that differ (single samples have none).
     pub bias: f64,
 }
 

@@ -66,12 +66,7 @@ pub fn render_to_goal(
     options.validate()?;
     settings.validate()?;
     let _reserved = budget.reserve(own_bytes(settings, options), "the choice of accuracy")?;
-    // The last word of one step may be that the next is not wanted.
-    let mut is_cancelled = false;
-    let mut progress = |state: GoalProgress| {
-        is_cancelled = is_cancelled || progress(state) == Control::Cancel;
-        if is_cancelled { Control::Cancel } else { Control::Continue }
-    };
+    let mut progress = for_good(progress);
     let mut job = Job::new(octree, scene, settings, options, threads, budget, &mut progress);
     match options.goal {
         Goal::Exact => job.exact(),
@@ -130,6 +125,17 @@ fn own_bytes(settings: &RenderSettings, options: &GoalOptions) -> Bytes {
     Bytes(pixels * FLIP_BYTES_PER_PIXEL + steering)
 }
 
+/// A callback that goes on cancelling once it has: the last word of one step may be that the next is not wanted.
+fn for_good<'p>(
+    progress: &'p mut (dyn FnMut(GoalProgress) -> Control + Send),
+) -> impl FnMut(GoalProgress) -> Control + Send + 'p {
+    let mut is_cancelled = false;
+    move |state| {
+        is_cancelled = is_cancelled || progress(state) == Control::Cancel;
+        if is_cancelled { Control::Cancel } else { Control::Continue }
+    }
+}
+
 /// The picture of `settings` as they stand, with fixed samples, and what it is worth.
 pub(super) fn with_certificate(
     octree: &LazyOctree,
@@ -142,8 +148,7 @@ pub(super) fn with_certificate(
     let options = GoalOptions::new(Goal::Exact);
     settings.validate()?;
     let _reserved = budget.reserve(own_bytes(settings, &options), "the choice of accuracy")?;
-    // A closure of its own ends the callback's lifetime with the job's.
-    let mut progress = |state: GoalProgress| progress(state);
+    let mut progress = for_good(progress);
     let mut job = Job::new(octree, scene, settings, &options, threads, budget, &mut progress);
     let knobs = job.knobs(Sampling::Fixed { samples: settings.samples_per_pixel });
     let renderer = job.renderer(&knobs)?;

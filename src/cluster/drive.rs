@@ -296,8 +296,8 @@ pub fn run_worker(
             let to_pump = to_pump;
             pump(control, &to_pump, &is_over)
         };
-        let no_thread = |error| NodeError::CannotRender { reason: no_thread(&error) };
-        thread::Builder::new().spawn_scoped(scope, pump).map_err(no_thread)?;
+        let refused = |error| NodeError::CannotRender { reason: no_thread(&error) };
+        thread::Builder::new().spawn_scoped(scope, pump).map_err(refused)?;
         let (notes_in, notes) = mpsc::channel();
         let mut worker = Worker::new(&options.name, options.lanes, model, options.roles);
         if options.waiting != WaitingRays::Never {

@@ -128,7 +128,7 @@ impl RayFrame {
     }
 
     /// [`RayFrame::intersect`] decided by exact arithmetic alone, one to two orders of magnitude slower: what the faster
-    /// stages are checked against. The numbers of a hit are the canonical ones.
+    /// stages are checked against. The numbers of a hit are the canonical ones, and they tell whether it is in the ray's interval.
     pub fn intersect_exactly(&self, vertices: &[[f64; 3]; 3]) -> Option<TriangleHit> {
         let mut line = *self;
         (line.t_min, line.t_max) = (f64::NEG_INFINITY, f64::INFINITY);

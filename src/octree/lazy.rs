@@ -151,8 +151,8 @@ impl LazyOctree {
     /// [`AccessRecorder::finish`] when the tracers are dropped.
     ///
     /// A recorded trace does not depend on the cache, except that of a [`RayPool`](crate::trace::RayPool): there a ray is one query
-    /// more each time that it goes on, and a block that is loaded for rays that wait is entered by the query before. Hits are as ever; recording tracers keep no block pinned from query
-    /// to query, so they are slower, and their own loads are those of such tracers.
+    /// more each time that it goes on, and a block that is loaded for rays that wait is entered by the query before. Hits are as ever;
+    /// recording tracers keep no block pinned from query to query, so they are slower, and their own loads are those of such tracers.
     ///
     /// # Errors
     /// As for [`AccessRecorder::new`].
