@@ -3,6 +3,8 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::path::Path;
+use std::thread;
+use std::time::Duration;
 
 /// How often a file that is taken away between opening and locking is opened again.
 const ATTEMPTS_MAX: u32 = 100;
@@ -16,7 +18,7 @@ const ATTEMPTS_MAX: u32 = 100;
 pub(crate) fn open_locked(path: &Path) -> io::Result<Option<File>> {
     for _ in 0..ATTEMPTS_MAX {
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
-        match file.try_lock() {
+        match for_a_while(|| file.try_lock()) {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Ok(None),
             Err(TryLockError::Error(error)) if is_without_locks(&error) => {}
@@ -29,6 +31,18 @@ pub(crate) fn open_locked(path: &Path) -> io::Result<Option<File>> {
     }
     let reason = "another process replaces the file again and again";
     Err(io::Error::new(io::ErrorKind::ResourceBusy, reason))
+}
+
+/// The lock, or that it is held after an eighth of a second, too. A program that another thread just starts holds all locks of its
+/// parent until it runs, also those that are let go meanwhile.
+fn for_a_while(mut try_lock: impl FnMut() -> Result<(), TryLockError>) -> Result<(), TryLockError> {
+    for doubling in 0..7 {
+        match try_lock() {
+            Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(1 << doubling)),
+            other => return other,
+        }
+    }
+    try_lock()
 }
 
 /// Whether the file system has no locks, or, mounted from another machine, cannot ask for them now.
@@ -75,6 +89,19 @@ mod tests {
         assert!(!same_file(&first, &path).unwrap() && same_file(&second, &path).unwrap());
         drop(second);
         assert!(open_locked(&path).unwrap().is_some());
+    }
+
+    #[test]
+    fn a_lock_that_is_let_go_soon_is_waited_for() {
+        let after = |tries: u32| {
+            let mut left = tries;
+            for_a_while(|| {
+                left = left.saturating_sub(1);
+                if left == 0 { Ok(()) } else { Err(TryLockError::WouldBlock) }
+            })
+        };
+        assert!(after(1).is_ok() && after(3).is_ok());
+        assert!(matches!(after(1000), Err(TryLockError::WouldBlock)));
     }
 
     #[test]
