@@ -21,7 +21,8 @@ pub(super) struct Arrival<'o> {
 /// See the module.
 ///
 /// Each load in flight holds a slot, from its beginning until the block's rays have run. A pool has at most a quarter of its share
-/// of the slots in flight and its tracer pins at most a quarter, unless every block has a slot, so that a load always finds a slot that is not pinned.
+/// of the slots in flight and its tracer pins at most a quarter, unless every block has a slot: so a load always finds one that is
+/// not pinned.
 pub(super) struct InFlight<'o> {
     queue: LoadQueue<'o>,
     /// Asked for and not collected.
