@@ -5,12 +5,14 @@
 //!     cargo run --release -- leaks [--rays 100000]
 //!     cargo run --release -- hard-cases
 //!     cargo run --release -- accuracy MODEL.ply [--repetitions 7]
+//!     cargo run --release -- alone MODEL.ply COMPILED primary|shadow|bounce [fast] [--rays 1024] [--repetitions 7]
 
 // Without Embree nothing is traced; the rest still has to compile.
 #![cfg_attr(not(embree), allow(unused))]
 
 #[cfg(embree)]
 mod accuracy;
+mod alone;
 #[path = "../../../tests/hard_cases/cases.rs"]
 #[allow(dead_code)]
 mod cases;
@@ -53,7 +55,8 @@ usage: outcrop-peers rates MODEL.ply [--rays EDGE] [--repetitions N] [--without 
        outcrop-peers whole MODEL.ply [--repetitions N]
        outcrop-peers leaks [--rays N]
        outcrop-peers hard-cases
-       outcrop-peers accuracy MODEL.ply [--repetitions N]";
+       outcrop-peers accuracy MODEL.ply [--repetitions N]
+       outcrop-peers alone MODEL.ply COMPILED primary|shadow|bounce [fast] [--rays EDGE] [--repetitions N]";
 
 #[cfg(not(embree))]
 const NO_EMBREE: &str = "Embree 3 was not found when this program was built, and without it there is nothing to \
@@ -116,6 +119,16 @@ fn run(arguments: &Arguments) -> Result<(), String> {
     if let ("job", [name, model, output, compiled]) = (arguments.command.as_str(), arguments.paths.as_slice())
     {
         return whole::job(&name.to_string_lossy(), model, output, compiled);
+    }
+    if let ("alone", [model, compiled, kind, rest @ ..]) = (arguments.command.as_str(), arguments.paths.as_slice())
+    {
+        let tier = match rest {
+            [] => Tier::Certified,
+            [tier] if tier.as_os_str() == "fast" => Tier::Fast,
+            _ => return Err(USAGE.to_string()),
+        };
+        let (size, repetitions) = (arguments.rays.unwrap_or(1024), arguments.repetitions.unwrap_or(7));
+        return alone::run((model, compiled), &kind.to_string_lossy(), tier, size, repetitions.max(1));
     }
     println!("Embree {}", embree::Embree::version().ok_or("Embree does not start on this machine")?);
     match (arguments.command.as_str(), arguments.paths.as_slice()) {
