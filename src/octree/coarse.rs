@@ -118,6 +118,11 @@ impl CoarseTree {
         self.grown.as_ref()?.entry(block)
     }
 
+    /// The sub-boxes of a block of a cell; `None` if the cell is not cut.
+    pub fn grown_sub_boxes(&self, block: BlockId) -> Option<&PackedBoxes> {
+        self.grown.as_ref()?.sub_boxes(block)
+    }
+
     /// The node that `child` is a child of, or the cell whose root it is; `None` for the root.
     #[inline(always)]
     pub fn parent(&self, child: Child) -> Option<Child> {

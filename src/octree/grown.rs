@@ -112,6 +112,21 @@ impl GrownCells {
         Ok(Reached::Cell(Child::node(first_node)))
     }
 
+    /// Whether `leaf` is a cell that nobody has reached.
+    pub fn would_cut(&self, leaf: u32) -> bool {
+        match self.model.cells.cell_of(BlockId(leaf)) {
+            Some(_) => false,
+            None => self.trees[(leaf - self.model.cells.block_id_count()) as usize].get().is_none(),
+        }
+    }
+
+    /// The sub-boxes of a block.
+    #[inline(never)]
+    pub fn sub_boxes(&self, block: BlockId) -> Option<&PackedBoxes> {
+        let (cell, index) = self.model.cells.cell_of(block)?;
+        self.trees[cell.0 as usize].get()?.sub_boxes.get(index)
+    }
+
     /// A node of the tree of a cell.
     #[inline(never)]
     pub fn node(&self, child: Child) -> &Node {

@@ -18,7 +18,7 @@ use crate::cache::{GeometryCache, Policy};
 use crate::error::{AccessTraceError, BudgetError, LoadError, TraceError};
 use crate::geom::Precision;
 use crate::model::{BlockEntry, Model};
-use crate::simd::SimdLevel;
+use crate::simd::{PackedBoxes, SimdLevel};
 use crate::source::BlockSource;
 use crate::units::{BlockId, Bytes};
 
@@ -224,6 +224,18 @@ impl LazyOctree {
     #[inline(never)]
     pub(crate) fn reach(&self, leaf: u32) -> Result<Reached<'_>, LoadError> {
         self.coarse.grown().reach(leaf, self.coarse.frame, &*self.source)
+    }
+
+    /// Whether [`LazyOctree::reach`] would cut a cell for that leaf, which is one beyond those of the tree.
+    #[inline(never)]
+    pub(crate) fn would_cut(&self, leaf: u32) -> bool {
+        self.coarse.grown().would_cut(leaf)
+    }
+
+    /// The sub-boxes of a block that a ray has come to; `None` if there is no such block yet.
+    #[inline(always)]
+    pub(crate) fn sub_boxes(&self, block: BlockId) -> Option<&PackedBoxes> {
+        self.coarse.sub_boxes.get(block.0 as usize).or_else(|| self.coarse.grown_sub_boxes(block))
     }
 
     /// The right to make one more tracer.

@@ -13,6 +13,7 @@ use super::closest::{Prepared, Work, closest_hit};
 use super::exact::RayError;
 use super::keep::{Streamed, WaitingHits};
 use super::policy::Policy;
+use super::unvisited::UnvisitedClosest;
 use super::{Hit, Tracer};
 use crate::access::QueryKind;
 use crate::error::TraceError;
@@ -42,13 +43,13 @@ pub(super) fn all_hits<S: Simd, P: Policy>(
     receiver: &mut dyn Receiver,
 ) -> Result<(), RayError> {
     waiting.clear();
-    let mut after = None;
+    let (mut after, mut unvisited) = (None, UnvisitedClosest::UNSET);
     loop {
         work.pins.begin_query(QueryKind::Closest);
         let mut kept = Streamed { waiting: &mut *waiting, receiver: &mut *receiver, is_over: false };
         let prepared = Prepared { group, lane, query: &mut *query, local: &mut *local };
-        // The pins of a tracer load: it does not stop on the way.
-        closest_hit::<S, P, _>(simd, work, prepared, ray, after, None, &mut kept)?;
+        // The pins of a tracer load: nothing is missing on the way.
+        closest_hit::<S, P, _>(simd, work, prepared, ray, after, &mut unvisited, false, &mut kept)?;
         kept.finish();
         if kept.is_over {
             return Ok(());

@@ -4,6 +4,7 @@ use super::closest::{Prepared, Work, lanes_in_use};
 use super::exact::{ExactRay, RayError};
 use super::policy::{Candidate, Policy};
 use super::stack::{Limit, Stack};
+use super::unvisited::UnvisitedAny;
 use super::{MaterialSet, Occlusion};
 use crate::geom::Ray;
 use crate::octree::{Child, Fine, LocalRay, QueryRay, RayGroup, Reached, TriangleLocation, splat_interval};
@@ -29,45 +30,6 @@ pub(super) struct Any<'a, S: Simd, P: Policy> {
     pub filtered: bool,
 }
 
-/// What an any-hit query that stopped has still to look at. No order is needed: any hit will do.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Unvisited {
-    /// The first `count` are blocks that the ray meets and that were missing.
-    blocks: [BlockId; UNVISITED_MAX],
-    count: u32,
-    /// Where the coarse traversal stopped because there was no room for one more.
-    stopped_at: Option<BlockId>,
-    /// An ignored material was hit.
-    filtered: bool,
-}
-
-/// As many as make it as large as what a closest-hit query keeps.
-const UNVISITED_MAX: usize = 28;
-
-impl Unvisited {
-    /// Of a query that has not begun.
-    pub const UNSET: Unvisited =
-        Unvisited { blocks: [BlockId(0); _], count: 0, stopped_at: None, filtered: false };
-
-    /// The missing blocks.
-    pub fn blocks(&self) -> &[BlockId] {
-        &self.blocks[..self.count as usize]
-    }
-
-    /// Whether there was room.
-    #[inline(always)]
-    fn push(&mut self, block: BlockId) -> bool {
-        match self.blocks.get_mut(self.count as usize) {
-            Some(place) => {
-                *place = block;
-                self.count += 1;
-                true
-            }
-            None => false,
-        }
-    }
-}
-
 /// Whether the ray is blocked; `None` if the pins are not to load and blocks were missing, which are then in
 /// `unvisited`. To go on, call it again with that and `is_resumed`.
 #[inline(always)]
@@ -77,7 +39,7 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
     Prepared { group, lane, query, local }: Prepared<'_>,
     ray: &Ray,
     ignore: Option<&MaterialSet>,
-    unvisited: &mut Unvisited,
+    unvisited: &mut UnvisitedAny,
     is_resumed: bool,
 ) -> Result<Option<Occlusion>, RayError> {
     let coarse = &work.octree.coarse;
@@ -94,12 +56,12 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
     let mut listed = 0;
     let mut child = Child::COARSE_ROOT;
     if is_resumed {
-        (listed, unvisited.count) = (unvisited.count, 0);
+        listed = unvisited.take();
         if listed > 0 {
-            child = Child::block(unvisited.blocks[0].0);
+            child = Child::block(unvisited.taken(0).0);
         }
     } else {
-        (unvisited.count, unvisited.stopped_at) = (0, None);
+        unvisited.begin();
     }
     let mut next_listed = 1;
     loop {
@@ -108,6 +70,12 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
             let block = child.block_index();
             let sub_boxes = match coarse.sub_boxes.get(block as usize) {
                 Some(sub_boxes) => sub_boxes,
+                // What is missing may make it needless to cut a part of the model that was not cut yet.
+                None if !unvisited.is_empty() && work.octree.would_cut(block) => {
+                    work.counters.box_tests -= 1;
+                    unvisited.stopped_at = Some(BlockId(block));
+                    break;
+                }
                 None => match work.octree.reach(block)? {
                     Reached::Block(sub_boxes) => sub_boxes,
                     Reached::Cell(root) => {
@@ -158,7 +126,7 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
         }
         if next_listed < listed {
             // What is kept goes to places that were read already.
-            child = Child::block(unvisited.blocks[next_listed as usize].0);
+            child = Child::block(unvisited.taken(next_listed).0);
             next_listed += 1;
             continue;
         }
@@ -166,8 +134,7 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
             listed = 0;
             match unvisited.stopped_at.take() {
                 Some(block) => {
-                    child = stack.return_to(simd, coarse, block, &any.local.test.boxes, &any.outer);
-                    continue;
+                    stack.return_to(simd, coarse, block, &any.local.test.boxes, &any.outer);
                 }
                 None => break,
             }
@@ -177,7 +144,7 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
             break;
         }
     }
-    if unvisited.count > 0 {
+    if !unvisited.is_empty() {
         unvisited.filtered = any.filtered;
         return Ok(None);
     }

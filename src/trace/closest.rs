@@ -6,6 +6,7 @@ use super::keep::Keep;
 use super::load::{LoadScratch, Pins};
 use super::policy::{Candidate, Policy};
 use super::stack::{Entries, Limit, Stack};
+use super::unvisited::UnvisitedClosest;
 use crate::geom::{Ray, TriangleHit};
 use crate::octree::{
     Child, Fine, LazyOctree, LocalRay, QueryRay, RayGroup, Reached, TriangleLocation, splat_interval,
@@ -57,18 +58,22 @@ pub(super) struct Closest<'r, S: Simd, P: Policy, K: Keep> {
 }
 
 /// Offers to `kept`, which is empty at first, hits strictly greater than `after` by (t, id): all that it would keep (I3).
-/// Returns the block at which it stopped, if the pins are not to load and one was missing; to go on, call it again with
-/// that block as `from` and `kept` as it was left.
+///
+/// Gives whether it is done. If the pins are not to load it may not be: then blocks that were missing are in `unvisited`, and the
+/// nearest of them is what it waits for. It has looked behind them at what was there, which may be gone when they come, and which
+/// may have made some of them needless. To go on, call it again with `unvisited` and `kept` as they were left, and `is_resumed`.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "what a query is made of, and where it stopped")]
 pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
     simd: S,
     work: &mut Work<'_, '_>,
     Prepared { group, lane, query, local }: Prepared<'_>,
     ray: &Ray,
     after: Option<(f64, TriangleId)>,
-    from: Option<BlockId>,
+    unvisited: &mut UnvisitedClosest,
+    is_resumed: bool,
     kept: &mut K,
-) -> Result<Option<BlockId>, RayError> {
+) -> Result<bool, RayError> {
     let coarse = &work.octree.coarse;
     if let Some(reason) = group.prepare(simd, lane, ray, &work.octree.space, query, local) {
         return Err(RayError::Invalid(reason));
@@ -79,7 +84,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
         _ => ray.t_min,
     };
     if t_min > ray.t_max {
-        return Ok(None);
+        return Ok(true);
     }
     // As `offer` left them.
     let end = kept.end();
@@ -104,20 +109,35 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
-    let mut child = match from {
-        None => Child::COARSE_ROOT,
-        Some(block) => {
-            stack.return_to(simd, coarse, block, &closest.local.test.boxes, &closest.interval(simd))
+    // The blocks of the list come first, as leaves of a tree of their own, then the coarse tree's.
+    let mut listed = 0;
+    let mut child = Child::COARSE_ROOT;
+    if is_resumed {
+        listed = unvisited.take();
+        if listed > 0 {
+            child = Child::block(unvisited.taken(0).0);
         }
-    };
+    } else {
+        unvisited.begin();
+    }
+    let mut next_listed = 1;
     let mut box_tests = 0;
-    let stopped = loop {
+    loop {
         box_tests += 1;
         let (local, interval) = (&closest.local, closest.interval(simd));
         if child.is_leaf() {
             let block = child.block_index();
             let sub_boxes = match coarse.sub_boxes.get(block as usize) {
                 Some(sub_boxes) => sub_boxes,
+                // What is missing may make it needless to cut a part of the model that was not cut yet.
+                None if !unvisited.is_empty()
+                    && work.octree.would_cut(block)
+                    && closest.still_needs(simd, work.octree, unvisited) =>
+                {
+                    box_tests -= 1;
+                    unvisited.stopped_at = Some(BlockId(block));
+                    break;
+                }
                 None => match work.octree.reach(block)? {
                     Reached::Block(sub_boxes) => sub_boxes,
                     Reached::Cell(root) => {
@@ -130,27 +150,37 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
             let (near, hits) = local.test.boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
             if hits != 0 {
                 if !closest.kept.pass(|| stack.least_near(simd, near, hits), closest.query) {
-                    break None;
+                    break;
                 }
-                let Some(slot) = work.pins.get(work.octree, BlockId(block), work.scratch, work.counters)?
-                else {
-                    // This test is made again.
-                    box_tests -= 1;
-                    break Some(BlockId(block));
-                };
-                work.counters.block_visits += 1;
-                let visit = VisitBlock::<S, P, K> {
-                    closest: &mut closest,
-                    slot,
-                    near,
-                    hits,
-                    stack: stack.above(),
-                    exact: work.exact,
-                    counters: work.counters,
-                };
-                simd.enter(visit);
-                if !closest.shares_frame {
-                    closest.local.enter_frame(simd, closest.query, &coarse.frame);
+                let block = BlockId(block);
+                match work.pins.get(work.octree, block, work.scratch, work.counters)? {
+                    Some(slot) => {
+                        work.counters.block_visits += 1;
+                        let visit = VisitBlock::<S, P, K> {
+                            closest: &mut closest,
+                            slot,
+                            near,
+                            hits,
+                            stack: stack.above(),
+                            exact: work.exact,
+                            counters: work.counters,
+                        };
+                        simd.enter(visit);
+                        if !closest.shares_frame {
+                            closest.local.enter_frame(simd, closest.query, &coarse.frame);
+                        }
+                    }
+                    None => {
+                        // This test is made again.
+                        box_tests -= 1;
+                        if !unvisited.push(block) {
+                            closest.still_needs(simd, work.octree, unvisited);
+                            if !unvisited.push(block) {
+                                unvisited.stopped_at = Some(block);
+                                break;
+                            }
+                        }
+                    }
                 }
             }
         } else {
@@ -162,13 +192,26 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
                 continue;
             }
         }
+        if next_listed < listed {
+            // What is kept goes to places that were read already.
+            child = Child::block(unvisited.taken(next_listed).0);
+            next_listed += 1;
+            continue;
+        }
+        if listed > 0 {
+            listed = 0;
+            let Some(block) = unvisited.stopped_at.take() else { break };
+            // By the whole ray, which meets that block; what lies behind hits that were found since then is not popped.
+            let whole = splat_interval(simd, closest.low, closest.query.local_high(ray.t_max));
+            stack.return_to(simd, coarse, block, &closest.local.test.boxes, &whole);
+        }
         child = stack.pop(closest.limit);
         if child == Child::NONE {
-            break None;
+            break;
         }
-    };
+    }
     work.counters.box_tests += box_tests;
-    Ok(stopped)
+    Ok(unvisited.is_empty() || !closest.still_needs(simd, work.octree, unvisited))
 }
 
 /// The traversal of one block. A function of its own, so that the registers are its own.
@@ -262,6 +305,25 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
     #[inline(always)]
     pub fn interval(&self, simd: S) -> Interval<S::F> {
         splat_interval(simd, self.low, self.limit.high())
+    }
+
+    /// Drops the blocks that lie behind what was found since they were seen. Gives whether any are left.
+    #[inline(always)]
+    fn still_needs(&self, simd: S, octree: &LazyOctree, unvisited: &mut UnvisitedClosest) -> bool {
+        let interval = self.interval(simd);
+        for place in 0..unvisited.take() {
+            let block = unvisited.taken(place);
+            // What is listed was found, so there always are.
+            if let Some(sub_boxes) = octree.sub_boxes(block) {
+                let boxes = &self.local.test.boxes;
+                let (_, hits) = boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
+                if hits == 0 {
+                    continue;
+                }
+            }
+            unvisited.push(block);
+        }
+        !unvisited.is_empty()
     }
 
     #[inline(always)]

@@ -70,6 +70,7 @@ mod stack;
 mod suspended;
 mod together;
 mod tracer;
+mod unvisited;
 mod way;
 
 pub(crate) use closest::lanes_in_use;

@@ -1,12 +1,13 @@
 //! [`RayPool`]: queries that do not wait for blocks while other rays can run.
 
-use super::any::{Unvisited, occlusion};
+use super::any::occlusion;
 use super::closest::{Prepared, closest_hit};
 use super::in_flight::{Arrival, InFlight};
 use super::loader::BlockLoader;
 use super::policy::Policy;
 use super::suspended::{Query, SuspendedRays};
 use super::tracer::{Query as Kernel, enter};
+use super::unvisited::{UnvisitedAny, UnvisitedClosest};
 use super::way::Way;
 use super::{Answers, AnyRequest, ClosestRequest, LoadStats, MaterialSet, OnMissing, Tracer};
 use crate::access::{BlockSketch, QueryKind};
@@ -22,7 +23,7 @@ use crate::units::{BlockId, Bytes};
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PoolOptions {
     /// How many rays should wait before it pays to load for them; see [`RayPool::wants_rays`]. More rays share a load the
-    /// more wait, so larger pictures and smaller caches want larger pools; each takes about 300 bytes. With 0, none waits.
+    /// more wait, so larger pictures and smaller caches want larger pools; each takes about 400 bytes. With 0, none waits.
     pub suspended: u32,
     /// Materials that any-hit queries ignore.
     pub ignore: Option<MaterialSet>,
@@ -57,7 +58,8 @@ impl PoolOptions {
 
 /// Answers queries on one thread, in whatever order costs the fewest block loads.
 ///
-/// A ray that reaches a block which is not resident is put aside, without a pin, until that block is loaded. Blocks are loaded in
+/// A ray that reaches a block which is not resident looks at those behind it that are, which may be gone later, and is put aside,
+/// without a pin, until that block is loaded. Blocks are loaded in
 /// turn, in the order of the file (or, if many of them are in memory at once, to and fro by planes through the model), those for which
 /// little waits in a later turn. What waits for a block then runs, unless room is short ([`PoolOptions::children`]). There are no
 /// rounds: rays may be added at any time, and so can those that answers lead to.
@@ -362,7 +364,7 @@ fn index_of_last<R>(requests: &[R], left: &std::slice::Iter<'_, R>) -> usize {
 }
 
 /// The longest queue among those that a query could join.
-fn longest_queue(suspended: &SuspendedRays, unvisited: &Unvisited) -> BlockId {
+fn longest_queue(suspended: &SuspendedRays, unvisited: &UnvisitedAny) -> BlockId {
     let blocks = unvisited.blocks();
     // The first of equals, which is the nearest.
     blocks.iter().rev().copied().max_by_key(|block| suspended.weight(*block)).unwrap_or(blocks[0])
@@ -394,14 +396,16 @@ impl Kernel for Closest<'_, '_> {
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         let (loads, new_weight) = on_missing.parts();
         let mut work = tracer.work();
+        let mut unvisited = UnvisitedClosest::UNSET;
         let mut new = requests.iter();
         let mut resumed = 0;
         loop {
             // A new ray, or else one that waited for the block. Its answer is written where it belongs.
-            let (ray, after, mut from, mut place, weight);
+            let (ray, after, mut is_resumed, mut place, weight);
             if let Some(request) = new.next() {
                 work.counters.rays += 1;
-                (ray, after, from, place, weight) = (request.ray, request.after, None, None, new_weight);
+                (ray, after, is_resumed, place, weight) =
+                    (request.ray, request.after, false, None, new_weight);
                 answers.hits.push((request.tag, None));
             } else {
                 if resumed == *closest_max {
@@ -411,9 +415,10 @@ impl Kernel for Closest<'_, '_> {
                 let Some(waiting) = suspended.next_closest(block) else { break };
                 resumed += 1;
                 let record = suspended.record(waiting);
-                let Query::Closest { after: then, best } = record.query else { continue };
-                (ray, after, from, place, weight) =
-                    (record.ray, then, Some(block), Some(waiting), record.weight);
+                let Query::Closest { after: then, best, rest } = record.query else { continue };
+                unvisited = rest;
+                (ray, after, is_resumed, place, weight) =
+                    (record.ray, then, true, Some(waiting), record.weight);
                 answers.hits.push((record.tag, best));
             }
             work.pins.begin_query(QueryKind::Closest);
@@ -423,17 +428,37 @@ impl Kernel for Closest<'_, '_> {
             loop {
                 let prepared = Prepared { group: &group, lane: 0, query: &mut query, local: &mut local };
                 let best = &mut answers.hits[last].1;
-                let stopped = closest_hit::<S, P, _>(simd, &mut work, prepared, &ray, after, from, best)
-                    .map_err(|error| error.at(index_of_last(requests, &new)))?;
-                let Some(block) = stopped else { break };
+                let is_done = closest_hit::<S, P, _>(
+                    simd,
+                    &mut work,
+                    prepared,
+                    &ray,
+                    after,
+                    &mut unvisited,
+                    is_resumed,
+                    best,
+                )
+                .map_err(|error| error.at(index_of_last(requests, &new)))?;
+                if is_done {
+                    break;
+                }
                 place = place.or_else(|| suspended.take_place());
                 if let Some(place) = place.take() {
                     let (tag, best) = answers.hits.swap_remove(last);
-                    suspended.wait(place, block, ray, tag, weight, Query::Closest { after, best });
+                    // The nearest: what lies behind it may turn out to be needless.
+                    let block = unvisited.blocks()[0];
+                    suspended.wait(
+                        place,
+                        block,
+                        ray,
+                        tag,
+                        weight,
+                        Query::Closest { after, best, rest: unvisited },
+                    );
                     break;
                 }
                 // The pool is full: depth first.
-                (work.pins.loads, from) = (true, Some(block));
+                (work.pins.loads, is_resumed) = (true, true);
             }
             if let Some(place) = place {
                 suspended.free_place(place);
@@ -469,7 +494,7 @@ impl Kernel for Any<'_, '_> {
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
         let (loads, new_weight) = on_missing.parts();
         let mut work = tracer.work();
-        let mut unvisited = Unvisited::UNSET;
+        let mut unvisited = UnvisitedAny::UNSET;
         let mut new = requests.iter();
         let mut resumed = 0;
         loop {

@@ -154,12 +154,8 @@ impl<'e> Stack<'e> {
         nearest.child()
     }
 
-    /// Makes the stack what it was when a traversal in sorted order popped the leaf of `block`, except for what the end
-    /// of `interval` has pruned since; returns that leaf. A traversal that stopped there goes on without looking at
-    /// anything twice, and nothing had to be kept for it.
-    ///
-    /// A shorter interval only takes the last children from a node's order, and no child is nearer than its node; so every
-    /// node on the way to a leaf that was not pruned still meets the ray.
+    /// Makes the stack what it was before a traversal in sorted order popped the leaf of `block`, which `interval` meets, with what
+    /// else it meets. A traversal that stopped there goes on without looking at anything twice, and nothing had to be kept for it.
     #[inline(always)]
     pub fn return_to<S: Simd>(
         &mut self,
@@ -168,9 +164,8 @@ impl<'e> Stack<'e> {
         block: BlockId,
         boxes: &BoxRay,
         interval: &Interval<S::F>,
-    ) -> Child {
-        let leaf = Child::block(block.0);
-        let mut way = [leaf; 2 * LEVELS_MAX + 2];
+    ) {
+        let mut way = [Child::block(block.0); 2 * LEVELS_MAX + 2];
         let mut depth = 0;
         while let Some(parent) = coarse.parent(way[depth]) {
             depth += 1;
@@ -183,20 +178,20 @@ impl<'e> Stack<'e> {
             }
             let node = coarse.node(way[level]);
             let (near, hits) = boxes.test(simd, &node.bounds, interval.low, interval.high);
-            self.push_sorted_behind(simd, &node.children, near, hits, way[level - 1]);
+            self.push_sorted_from(simd, &node.children, near, hits, way[level - 1], level == 1);
         }
-        leaf
     }
 
-    /// Pushes those of the children in `hits` that come after `child` in sorted order, nearest last.
+    /// Pushes those of the children in `hits` that come after `child` in sorted order, nearest last, and `child` itself if `too`.
     #[inline(always)]
-    fn push_sorted_behind<S: Simd>(
+    fn push_sorted_from<S: Simd>(
         &mut self,
         simd: S,
         children: &[Child; LANES],
         near: S::F,
         hits: u32,
         child: Child,
+        too: bool,
     ) {
         let near = simd.to_array(near);
         let lane = children.iter().position(|other| *other == child).unwrap_or(0);
@@ -207,7 +202,7 @@ impl<'e> Stack<'e> {
         while hits != 0 {
             let new = entry(children, &near, hits);
             hits &= hits - 1;
-            if new <= passed {
+            if new < passed || (new == passed && !too) {
                 continue;
             }
             let mut place = self.len;

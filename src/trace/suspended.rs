@@ -2,7 +2,7 @@
 //! loading for. Knows nothing of traversal; [`RayPool`](super::RayPool) puts it to use.
 
 use super::Hit;
-use super::any::Unvisited;
+use super::unvisited::{UnvisitedAny, UnvisitedClosest};
 use super::way::Way;
 use crate::geom::Ray;
 use crate::units::{BlockId, Bytes, TriangleId};
@@ -25,8 +25,8 @@ pub(super) struct Record {
 /// A query on its way.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Query {
-    Closest { after: Option<(f64, TriangleId)>, best: Option<Hit> },
-    Any(Unvisited),
+    Closest { after: Option<(f64, TriangleId)>, best: Option<Hit>, rest: UnvisitedClosest },
+    Any(UnvisitedAny),
 }
 
 /// A place for a record, from [`SuspendedRays::take_place`] to [`SuspendedRays::free_place`].
@@ -56,9 +56,6 @@ struct List {
 impl List {
     const EMPTY: List = List { first: NONE, last: NONE };
 }
-
-/// A block is passed over while another is worth more than so many times as much.
-const SHARE_MIN: u64 = 32;
 
 /// How far from the last choice the next is looked for: so that it takes less time than a load, however large the model.
 const STEPS_MAX: u32 = 1 << 16;
@@ -147,7 +144,7 @@ impl SuspendedRays {
                 ray: Ray::new([0.0; 3], [0.0; 3]),
                 tag: 0,
                 weight: 0,
-                query: Query::Any(Unvisited::UNSET),
+                query: Query::Any(UnvisitedAny::UNSET),
                 next: NONE,
             });
             self.records.len() as u32 - 1
@@ -248,7 +245,7 @@ impl SuspendedRays {
     }
 
     /// The block to load next, of those that rays wait for and that are not on their way in: the next one from the one chosen last, on
-    /// the [`Way`], that is worth at least 1 / [`SHARE_MIN`] of what the best is worth. That is its weight, or, where
+    /// the [`Way`], that is worth at least 1 / [`Way::share_min`] of what the best is worth. That is its weight, or, where
     /// little room is left, how many any-hit queries it has, as those lead to no others.
     ///
     /// Light queues are left for a later turn.
@@ -262,7 +259,7 @@ impl SuspendedRays {
         } else {
             heaviest
         };
-        let least = worth(&queue(best)).div_ceil(SHARE_MIN);
+        let least = worth(&queue(best)).div_ceil(self.way.share_min());
         let best = queue(best).block;
         for _ in 0..self.way.steps().min(STEPS_MAX) {
             let block = self.way.step();
@@ -436,9 +433,9 @@ mod tests {
                 };
                 let (block, weight, kind) = (below(BLOCKS), 1 + below(4), below(2) as usize);
                 let query = if kind == 0 {
-                    Query::Closest { after: None, best: None }
+                    Query::Closest { after: None, best: None, rest: UnvisitedClosest::UNSET }
                 } else {
-                    Query::Any(Unvisited::UNSET)
+                    Query::Any(UnvisitedAny::UNSET)
                 };
                 let ray = Ray::new([0.0; 3], [1.0; 3]);
                 suspended.wait(place, BlockId(block), ray, tag, weight, query);
@@ -479,8 +476,9 @@ mod tests {
             let worth = |block: &u32| if is_short { twin[block][1].len() as u64 } else { idle[block] };
             let best = idle.keys().map(worth).max().unwrap_or(0);
             short += u32::from(is_short && best > 0);
+            let share_min = suspended.way.share_min();
             let heavy =
-                |(block, _): &(u32, bool)| idle.contains_key(block) && worth(block) * SHARE_MIN >= best;
+                |(block, _): &(u32, bool)| idle.contains_key(block) && worth(block) * share_min >= best;
             let chosen = suspended.choose();
             let place = way.iter().position(heavy);
             assert_eq!(chosen.map(|block| block.0), place.map(|place| way[place].0));

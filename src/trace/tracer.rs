@@ -3,7 +3,7 @@
 use std::marker::PhantomData;
 
 use super::all::{Receiver, all_hits};
-use super::any::{Unvisited, occlusion};
+use super::any::occlusion;
 use super::closest::{Prepared, Work, closest_hit};
 use super::crossings::PendingCrossings;
 use super::exact::ExactRay;
@@ -12,6 +12,7 @@ use super::load::{LoadScratch, Pins};
 use super::policy::{Certified, Fast, Policy, Selected};
 use super::stack::{Entries, UNUSED};
 use super::together::{Lanes, closest_hits_together, occlusions_together};
+use super::unvisited::{UnvisitedAny, UnvisitedClosest};
 use super::{Hit, LoadStats, MaterialSet, Occlusion};
 use crate::access::{BlockSketch, QueryKind};
 use crate::budget::Reservation;
@@ -214,7 +215,7 @@ impl Query for ClosestHits<'_, '_> {
     fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
-        let mut lanes = Lanes::UNSET;
+        let (mut unvisited, mut lanes) = (UnvisitedClosest::UNSET, Lanes::UNSET);
         // What is written down of a query is one ray's.
         let may_join = self.after.is_empty() && work.octree.space.is_shared && !work.pins.writes_down();
         let mut index = 0;
@@ -237,7 +238,8 @@ impl Query for ClosestHits<'_, '_> {
                 let after = self.after.get(index).copied();
                 *hit = None;
                 let prepared = Prepared { group: &group, lane, query: &mut query, local: &mut local };
-                closest_hit::<S, P, _>(simd, &mut work, prepared, ray, after, None, hit)
+                let rest = &mut unvisited;
+                closest_hit::<S, P, _>(simd, &mut work, prepared, ray, after, rest, false, hit)
                     .map_err(|error| error.at(index))?;
                 index += 1;
             }
@@ -267,7 +269,7 @@ impl Query for Occlusions<'_, '_> {
     fn each<S: Simd, P: Policy>(self, simd: S) -> Result<(), TraceError> {
         let mut work = self.tracer.work();
         let (mut query, mut local) = (QueryRay::UNSET, LocalRay::UNSET);
-        let (mut unvisited, mut lanes) = (Unvisited::UNSET, Lanes::UNSET);
+        let (mut unvisited, mut lanes) = (UnvisitedAny::UNSET, Lanes::UNSET);
         // What is written down of a query is one ray's.
         let may_join = work.octree.space.is_shared && !work.pins.writes_down();
         let mut index = 0;

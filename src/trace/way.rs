@@ -12,6 +12,12 @@ use crate::units::BlockId;
 /// Across the planes: oblique, so that no layer of blocks that is parallel to two axes comes at once.
 const ACROSS: [f64; 3] = [1.0, 0.6, 0.3];
 
+/// Where few blocks are in memory, those for which little waits are left for a later turn.
+const SHARE_MIN: u64 = 32;
+
+/// Where an eighth of them are, a turn more costs more loads than they do.
+const SHARE_MIN_AMPLE: u64 = 64;
+
 /// The way through all blocks, over and over, and where it stands.
 pub(super) struct Way {
     /// The blocks by their place on the way, in the low halves, sorted by the high ones; empty if that is the order of the file.
@@ -19,6 +25,8 @@ pub(super) struct Way {
     block_count: u32,
     /// Whether it turns back at its ends, rather than to begin anew.
     turns_back: bool,
+    /// A block is passed over while another is worth more than so many times as much.
+    share_min: u64,
     place: u32,
     goes_back: bool,
 }
@@ -26,7 +34,14 @@ pub(super) struct Way {
 impl Way {
     /// In the order of the file.
     pub fn of_file(block_count: usize, turns_back: bool) -> Way {
-        Way { order: Vec::new(), block_count: block_count as u32, turns_back, place: 0, goes_back: false }
+        Way {
+            order: Vec::new(),
+            block_count: block_count as u32,
+            turns_back,
+            share_min: SHARE_MIN,
+            place: 0,
+            goes_back: false,
+        }
     }
 
     /// The best way through the blocks of `octree`.
@@ -37,8 +52,10 @@ impl Way {
     pub fn through(octree: &LazyOctree) -> Way {
         let model = octree.model();
         let block_count = model.block_id_count() as usize;
-        let turns_back = octree.cache().slot_count() >= model.expected_block_count() / 12;
-        let way = Way::of_file(block_count, turns_back);
+        let in_memory = |part| octree.cache().slot_count() >= model.expected_block_count() / part;
+        let turns_back = in_memory(12);
+        let share_min = if in_memory(8) { SHARE_MIN_AMPLE } else { SHARE_MIN };
+        let way = Way { share_min, ..Way::of_file(block_count, turns_back) };
         if !turns_back {
             return way;
         }
@@ -54,6 +71,11 @@ impl Way {
     /// What a way allocates.
     pub fn bytes_needed(block_count: usize) -> u64 {
         (block_count * size_of::<u64>()) as u64
+    }
+
+    /// A block is passed over while another is worth more than so many times as much.
+    pub fn share_min(&self) -> u64 {
+        self.share_min
     }
 
     /// How many steps at most lead past every block: once round, or to one end and then to the other.

@@ -86,6 +86,36 @@ fn all_hits_and_suspended_rays_too() {
     assert_eq!(hits, trace(&expected, &rays).unwrap().0);
 }
 
+/// A ray that waits looks at what is there behind the missing block, but has nothing cut that the block may make needless.
+#[test]
+fn rays_that_wait_cut_no_more_cells_than_others() {
+    let mesh = gears();
+    let rays = rays(&eager(&mesh, &small().compile), 300, 7);
+    let cut = |asks: &dyn Fn(&LazyOctree)| {
+        let (place, budget) = (Place::new(), budget());
+        let model = open(&mesh, &place.output(), &small(), &budget).unwrap();
+        let source = Arc::clone(&model) as Arc<dyn BlockSource>;
+        let options = OctreeOptions { slots_max: Some(3), ..Default::default() };
+        asks(&LazyOctree::open(source, &budget, options).unwrap());
+        (0..model.model().cells.len() as u32).map(|cell| model.is_cut(CellId(cell))).collect::<Vec<bool>>()
+    };
+    let in_order = cut(&|octree| {
+        let mut hits = vec![None; rays.len()];
+        octree.tracer().unwrap().closest_hits(&rays, &mut hits).unwrap();
+    });
+    let waiting = cut(&|octree| {
+        let mut pool = octree.ray_pool(PoolOptions::default()).unwrap();
+        let mut answers = Answers::with_capacity(rays.len());
+        let requests: Vec<ClosestRequest> =
+            (0..).zip(&rays).map(|(tag, ray)| ClosestRequest { ray: *ray, after: None, tag }).collect();
+        pool.closest_hits(&requests, OnMissing::Wait { weight: 1 }, &mut answers).unwrap();
+        while pool.resume(&mut answers).unwrap() {}
+        assert!(pool.counters().suspended_peak > 100);
+    });
+    assert_eq!(waiting, in_order);
+    assert!(in_order.iter().any(|is_cut| !is_cut));
+}
+
 #[test]
 fn threads_cut_each_cell_once_and_see_the_same() {
     let mesh = gears();
