@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 /// What a run of queries did. All counts are exact; they depend on cache size and load order only where
-/// the field says so.
+/// the field says so, but for queries of a [`RayPool`](crate::trace::RayPool): how much they look at depends on what is resident behind a
+/// block that they wait for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TraceCounters {
     /// Rays asked, closest hit and any hit together.

@@ -151,3 +151,36 @@ fn a_hit_before_the_place_where_a_list_was_full_ends_the_ray() {
         assert!(loads <= wall as u64 + 2, "{loads} loads, wall {wall}");
     }
 }
+
+/// Two walls in one another's place: the one with the lower number is the answer, also where it is missing when the other is hit.
+#[test]
+fn a_missing_block_may_hold_the_same_hit_with_a_lower_number() {
+    let wall = [[-1.0, -1.0, 0.0], [3.0, -1.0, 0.0], [-1.0, 3.0, 0.0]];
+    // In the boxes of their blocks the ray comes to either at the same place.
+    let triangles: Triangles = vec![wall; 2];
+    for first in [0, 1] {
+        let source = compile(&triangles, Precision::Float32, 1, |i| (i ^ first) as u64);
+        let octree = open(&source, 2);
+        for resident in [0, 1] {
+            let mut pool = octree.ray_pool(PoolOptions::default()).unwrap();
+            let mut answers = Answers::with_capacity(1);
+            // Behind triangle 0 there is triangle 1 alone, which loads its block; and the other way about.
+            let after = (resident == 1).then_some((1.0, TriangleId(0)));
+            let request = ClosestRequest { ray: down(), after, tag: 0 };
+            pool.closest_hits(&[request], OnMissing::Wait { weight: 1 }, &mut answers).unwrap();
+            while pool.resume(&mut answers).unwrap() {}
+            assert_eq!(hit_of(&mut answers).unwrap().triangle, TriangleId(resident));
+        }
+        // One resident, whichever came last into a single slot.
+        let octree = open(&source, 1);
+        let mut pool = octree.ray_pool(PoolOptions::default()).unwrap();
+        let mut answers = Answers::with_capacity(1);
+        for _ in 0..3 {
+            ask(&mut pool, down(), WAIT, &mut answers);
+            while pool.resume(&mut answers).unwrap() {}
+            let hit = hit_of(&mut answers).unwrap();
+            assert_eq!((hit.t, hit.triangle), (1.0, TriangleId(0)));
+            assert!(octree.cache().stats().misses >= 2);
+        }
+    }
+}

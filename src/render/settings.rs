@@ -23,8 +23,8 @@ pub enum PathEnd {
     Roulette,
 }
 
-/// What a ray does that reaches a block which is not resident. The picture is the same, bit for bit; what differs is how often a block is
-/// loaded where the cache holds few of the blocks that rays reach.
+/// What a ray does that reaches a block which is not resident. In the tiers `Certified` and `Exact` the picture is the same, bit for bit; what differs is how
+/// often a block is loaded where the cache holds few of the blocks that rays reach.
 ///
 /// Camera rays come in an order in which neighbours follow each other through the same blocks, so their thread loads for them in
 /// any case. It is all other rays that can wait: each for the block that it needs, until that is loaded for all that wait for it

@@ -132,7 +132,11 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
                 // What is missing may make it needless to cut a part of the model that was not cut yet.
                 None if !unvisited.is_empty()
                     && work.octree.would_cut(block)
-                    && closest.still_needs(simd, work.octree, unvisited) =>
+                    && simd.enter(StillNeeds {
+                        closest: &closest,
+                        octree: work.octree,
+                        unvisited: &mut *unvisited,
+                    }) =>
                 {
                     box_tests -= 1;
                     unvisited.stopped_at = Some(BlockId(block));
@@ -174,7 +178,11 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
                         // This test is made again.
                         box_tests -= 1;
                         if !unvisited.push(block) {
-                            closest.still_needs(simd, work.octree, unvisited);
+                            simd.enter(StillNeeds {
+                                closest: &closest,
+                                octree: work.octree,
+                                unvisited: &mut *unvisited,
+                            });
                             if !unvisited.push(block) {
                                 unvisited.stopped_at = Some(block);
                                 break;
@@ -211,7 +219,8 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
         }
     }
     work.counters.box_tests += box_tests;
-    Ok(unvisited.is_empty() || !closest.still_needs(simd, work.octree, unvisited))
+    Ok(unvisited.is_empty()
+        || !simd.enter(StillNeeds { closest: &closest, octree: work.octree, unvisited: &mut *unvisited }))
 }
 
 /// The traversal of one block. A function of its own, so that the registers are its own.
@@ -300,22 +309,25 @@ impl<S: Simd, P: Policy, K: Keep> Operation<S> for Settle<'_, '_, S, P, K> {
     }
 }
 
-impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
-    /// The part of the ray where hits would be kept.
-    #[inline(always)]
-    pub fn interval(&self, simd: S) -> Interval<S::F> {
-        splat_interval(simd, self.low, self.limit.high())
-    }
+/// Drops the missing blocks that lie behind what was found since they were seen. Gives whether any are left. A function of its own:
+/// seldom needed. Its tests are not counted.
+struct StillNeeds<'v, 'r, S: Simd, P: Policy, K: Keep> {
+    closest: &'v Closest<'r, S, P, K>,
+    octree: &'v LazyOctree,
+    unvisited: &'v mut UnvisitedClosest,
+}
 
-    /// Drops the blocks that lie behind what was found since they were seen. Gives whether any are left.
+impl<S: Simd, P: Policy, K: Keep> Operation<S> for StillNeeds<'_, '_, S, P, K> {
+    type Output = bool;
+
     #[inline(always)]
-    fn still_needs(&self, simd: S, octree: &LazyOctree, unvisited: &mut UnvisitedClosest) -> bool {
-        let interval = self.interval(simd);
+    fn run(self, simd: S) -> bool {
+        let StillNeeds { closest, octree, unvisited } = self;
+        let (boxes, interval) = (&closest.local.test.boxes, closest.interval(simd));
         for place in 0..unvisited.take() {
             let block = unvisited.taken(place);
             // What is listed was found, so there always are.
             if let Some(sub_boxes) = octree.sub_boxes(block) {
-                let boxes = &self.local.test.boxes;
                 let (_, hits) = boxes.test_packed(simd, sub_boxes, interval.low, interval.high);
                 if hits == 0 {
                     continue;
@@ -324,6 +336,14 @@ impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
             unvisited.push(block);
         }
         !unvisited.is_empty()
+    }
+}
+
+impl<S: Simd, P: Policy, K: Keep> Closest<'_, S, P, K> {
+    /// The part of the ray where hits would be kept.
+    #[inline(always)]
+    pub fn interval(&self, simd: S) -> Interval<S::F> {
+        splat_interval(simd, self.low, self.limit.high())
     }
 
     #[inline(always)]

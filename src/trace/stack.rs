@@ -154,8 +154,9 @@ impl<'e> Stack<'e> {
         nearest.child()
     }
 
-    /// Makes the stack what it was before a traversal in sorted order popped the leaf of `block`, which `interval` meets, with what
-    /// else it meets. A traversal that stopped there goes on without looking at anything twice, and nothing had to be kept for it.
+    /// Makes the stack what it was before a traversal in sorted order popped the leaf of `block`, which `interval` meets: that leaf, and
+    /// all that comes after it and that `interval` meets. What was pruned since then is left out where it is popped. A traversal that stopped
+    /// there goes on without looking at anything twice, and nothing had to be kept for it.
     #[inline(always)]
     pub fn return_to<S: Simd>(
         &mut self,

@@ -2,7 +2,7 @@
 
 use crate::units::BlockId;
 
-/// The missing blocks that a query has come to, nearest first, and where its way through the coarse tree stopped, if it did. The
+/// The missing blocks that a query has come to, in the order of its way, which is nearly that of distance, and where its way through the coarse tree stopped, if it did. The
 /// query has looked at all other blocks before that place that could matter: those that were there need not be there again.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Unvisited<const MAX: usize> {
@@ -19,7 +19,7 @@ pub(super) struct Unvisited<const MAX: usize> {
 /// Of a closest-hit query: longer lists are seldom, and make few loads needless.
 pub(super) type UnvisitedClosest = Unvisited<20>;
 
-/// Of an any-hit query: as many as make the record of a ray that waits as large as that of a closest-hit query.
+/// Of an any-hit query: longer lists would take no memory, as closest-hit queries keep more, and make no loads needless.
 pub(super) type UnvisitedAny = Unvisited<28>;
 
 impl<const MAX: usize> Unvisited<MAX> {

@@ -25,7 +25,7 @@ pub(super) struct Way {
     block_count: u32,
     /// Whether it turns back at its ends, rather than to begin anew.
     turns_back: bool,
-    /// A block is passed over while another is worth more than so many times as much.
+    /// See [`Way::share_min`].
     share_min: u64,
     place: u32,
     goes_back: bool,
@@ -151,12 +151,14 @@ mod tests {
         let source = Arc::new(small_blocks(4000, 5));
         let block_count = source.model().block_id_count();
         assert!(block_count > 24);
-        for slots in [block_count / 12 - 1, block_count / 12, block_count] {
+        for slots in [block_count / 12 - 1, block_count / 12, block_count / 8, block_count] {
             let budget = MemoryBudget::new(Bytes::mib(64));
             let options = OctreeOptions { slots_max: Some(slots), ..OctreeOptions::default() };
             let octree = LazyOctree::open(source.clone(), &budget, options).unwrap();
             let mut way = Way::through(&octree);
             assert_eq!(way.turns_back, slots >= block_count / 12);
+            let is_ample = slots >= block_count / 8;
+            assert_eq!(way.share_min(), if is_ample { SHARE_MIN_AMPLE } else { SHARE_MIN });
             let passed: Vec<BlockId> = (1..block_count).map(|_| way.step()).collect();
             let place = |block: &BlockId| match way.turns_back {
                 true => plane(&octree.entry(*block).unwrap().bounds, &octree.model().bounds),

@@ -11,7 +11,7 @@ use outcrop::procedural::{Gears, Terrain, Tessellation};
 use outcrop::render::{RenderSettings, Renderer, Threads};
 use outcrop::scene::{Camera, Scene};
 use outcrop::source::DiskSource;
-use outcrop::trace::{Answers, ClosestRequest, OnMissing, PoolOptions};
+use outcrop::trace::{Answers, AnyRequest, ClosestRequest, OnMissing, PoolOptions};
 use outcrop::units::{Bytes, CellId};
 use outcrop::{BlockSource, LazyOctree, MemoryBudget};
 
@@ -113,6 +113,20 @@ fn rays_that_wait_cut_no_more_cells_than_others() {
         assert!(pool.counters().suspended_peak > 100);
     });
     assert_eq!(waiting, in_order);
+    // Any-hit queries go by what blocks them first; the answers are the same, also where they stopped before a cell.
+    let place = Place::new();
+    let model = open(&mesh, &place.output(), &small(), &budget()).unwrap();
+    let options = OctreeOptions { slots_max: Some(3), ..Default::default() };
+    let octree = LazyOctree::open(Arc::clone(&model) as Arc<dyn BlockSource>, &budget(), options).unwrap();
+    let mut pool = octree.ray_pool(PoolOptions::default()).unwrap();
+    let mut answers = Answers::with_capacity(rays.len());
+    let requests: Vec<AnyRequest> =
+        (0..).zip(&rays).map(|(tag, ray)| AnyRequest { ray: *ray, tag }).collect();
+    pool.occluded(&requests, OnMissing::Wait { weight: 1 }, &mut answers).unwrap();
+    while pool.resume(&mut answers).unwrap() {}
+    answers.occlusions.sort_by_key(|(tag, _)| *tag);
+    let found: Vec<_> = answers.occlusions.iter().map(|(_, found)| *found).collect();
+    assert_eq!(found, trace(&eager(&mesh, &small().compile), &rays).unwrap().1);
     assert!(in_order.iter().any(|is_cut| !is_cut));
 }
 
