@@ -164,7 +164,7 @@ fn check_everywhere(triangles: &Triangles, precision: Precision, rays: &[Ray]) {
             (LeafLayout::Expanded, SimdLevel::Avx2, None, TreeQuality::Quick),
             (LeafLayout::Indexed, SimdLevel::Portable, Some(1), TreeQuality::Quick),
             (LeafLayout::Indexed, SimdLevel::Avx2, Some(3), TreeQuality::Best),
-            (LeafLayout::Expanded, SimdLevel::Portable, None, TreeQuality::Best),
+            (LeafLayout::Expanded, SimdLevel::Portable, None, TreeQuality::Finest),
         ] {
             let leaf_layout = layout;
             let options =

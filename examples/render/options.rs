@@ -58,7 +58,8 @@ resources
     --keep-free BYTES       let the cache follow the system's free memory and leave so much to others
     --policy KIND           which block makes room: lru, clock or s3-fifo (lru)
     --leaves KIND           expanded or indexed; by the budget if not given
-    --trees KIND            quick (to build) or best (to trace); best unless the model is compiled lazily
+    --trees KIND            quick to build, best to trace, or finest: slower to build, for many rays on a model that stays in
+                            memory (best unless the model is compiled lazily)
     --simd KIND             avx2 or portable; the best here if not given
     --tier KIND             how sure hits are: fast, watertight, double, certified or exact (certified)
 compiled file
@@ -237,7 +238,11 @@ impl Options {
                     options.leaf_layout = arguments.choice(&kinds)?;
                 }
                 "--trees" => {
-                    let kinds = [("quick", TreeQuality::Quick), ("best", TreeQuality::Best)];
+                    let kinds = [
+                        ("quick", TreeQuality::Quick),
+                        ("best", TreeQuality::Best),
+                        ("finest", TreeQuality::Finest),
+                    ];
                     options.quality = Some(arguments.choice(&kinds)?);
                 }
                 "--simd" => {

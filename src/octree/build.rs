@@ -8,7 +8,7 @@
 
 use super::node::{Child, Node, PLANE_DEPTH_MAX};
 use super::options::TreeQuality;
-use super::sah::{best_plane, middle_planes, octant_planes};
+use super::sah::{BIN_COUNT_AT_ONCE, BIN_COUNT_ONE, best_plane, middle_planes, octant_planes};
 use crate::simd::{Boxes, LANES, Simd};
 
 /// The box of a primitive or of many: lowest x, y, z, an unused lane, then highest x, y, z negated and an unused lane,
@@ -312,7 +312,7 @@ impl<'a, S: Simd> Tree<'a, S> {
             };
             let run = runs[largest];
             let mut parts = [run; LANES];
-            let planes = if L::ONE_PLANE { 1 } else { planes };
+            let planes = if L::ONE_PLANE || self.quality == TreeQuality::Finest { 1 } else { planes };
             let part_count = self.split::<L>(&run, planes, task.depth, &mut parts);
             runs[largest] = parts[0];
             runs[count..count + part_count - 1].copy_from_slice(&parts[1..part_count]);
@@ -336,10 +336,17 @@ impl<'a, S: Simd> Tree<'a, S> {
             let boxes = &self.boxes[usize::from(run.copy)][run.start as usize..run.end as usize];
             if L::ONE_PLANE {
                 best_plane(boxes, &run.centers)
-            } else if self.quality == TreeQuality::Quick {
-                middle_planes(&run.centers, planes_max)
             } else {
-                octant_planes(self.simd, boxes, &run.bounds, &run.centers, planes_max)
+                let (bounds, centers) = (&run.bounds, &run.centers);
+                match self.quality {
+                    TreeQuality::Quick => middle_planes(centers, planes_max),
+                    TreeQuality::Best => {
+                        octant_planes::<S, BIN_COUNT_AT_ONCE>(self.simd, boxes, bounds, centers, planes_max)
+                    }
+                    TreeQuality::Finest => {
+                        octant_planes::<S, BIN_COUNT_ONE>(self.simd, boxes, bounds, centers, planes_max)
+                    }
+                }
             }
         };
         if let Some((middle, mask)) = planes {

@@ -312,7 +312,7 @@ mod tests {
         let (entry, data) = sheet();
         let count = data.triangles.len();
         for (expanded, most) in [(true, LEAF_TRIANGLES_MAX), (false, INDEXED_LEAF_TRIANGLES_MAX)] {
-            for quality in [TreeQuality::Best, TreeQuality::Quick] {
+            for quality in [TreeQuality::Finest, TreeQuality::Best, TreeQuality::Quick] {
                 for level in [SimdLevel::Portable, SimdLevel::best()] {
                     let layout = FineLayout { expanded, scale: 1.0 };
                     let bytes = layout.slot_bytes(count, data.vertices.len(), false).as_usize();

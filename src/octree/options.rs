@@ -62,9 +62,12 @@ pub enum TreeQuality {
     /// Planes in the middle of the centres: much faster to build, somewhat slower to trace. Best where a loaded block
     /// is entered by few rays: for one small picture, or a cache that is much too small.
     Quick,
-    /// Planes by the surface area heuristic.
+    /// Planes by the surface area heuristic, up to three at once.
     #[default]
     Best,
+    /// One plane at a time: a block takes a quarter more time to load, and most rays 2 to 5 % less. For models that stay in memory and
+    /// get many rays: it pays after some 20,000 rays for each block.
+    Finest,
 }
 
 /// How an octree is opened. `..Default::default()` gives one tracer with certified hits and the best instructions.

@@ -7,8 +7,11 @@ use crate::simd::{LANES, Simd};
 /// Bins per axis for the coarse tree, which is built once.
 const BIN_COUNT: usize = 32;
 
-/// Bins per axis for the fine trees; with 16 they are no better.
-const FINE_BIN_COUNT: usize = 8;
+/// Bins per axis for fine trees that are split by up to three planes at once; with 16 they are no better.
+pub(super) const BIN_COUNT_AT_ONCE: usize = 8;
+
+/// Bins per axis for those that are split by one plane at a time; with 32 they are no better.
+pub(super) const BIN_COUNT_ONE: usize = 16;
 
 /// A fine node gets a plane on each axis whose best plane gains at least this part of what the best of all gains.
 const GATE: f32 = 0.9;
@@ -44,9 +47,9 @@ pub(super) fn middle_planes(centers: &MinBox, planes_max: u32) -> Option<(MinBox
 }
 
 /// Planes that split a fine node into octants: twice their positions, and a bit for each axis that has one, at most
-/// `planes_max`. `None` if no plane separates the centres.
+/// `planes_max`, from `BINS` bins on each axis. `None` if no plane separates the centres.
 #[inline(always)]
-pub(super) fn octant_planes<S: Simd>(
+pub(super) fn octant_planes<S: Simd, const BINS: usize>(
     simd: S,
     boxes: &[MinBox],
     bounds: &MinBox,
@@ -58,35 +61,35 @@ pub(super) fn octant_planes<S: Simd>(
         let extent = -centers[axis + 4] - centers[axis];
         // An axis without extent, or with one that overflowed, has one bin and so no plane.
         if extent > 0.0 && extent < f32::INFINITY {
-            (low[axis], scale[axis]) = (centers[axis], FINE_BIN_COUNT as f32 / extent);
+            (low[axis], scale[axis]) = (centers[axis], BINS as f32 / extent);
         }
     }
     let (low_lanes, scale_lanes) = (simd.load(&low), simd.load(&scale));
     let empty = simd.load(&EMPTY);
-    let mut bins = [[empty; FINE_BIN_COUNT]; 3];
-    let mut counts = [[0u32; FINE_BIN_COUNT]; 3];
+    let mut bins = [[empty; BINS]; 3];
+    let mut counts = [[0u32; BINS]; 3];
     for primitive in boxes {
         let primitive = simd.load(primitive);
         let place = simd.mul(simd.sub(double_center(simd, primitive), low_lanes), scale_lanes);
         let place = simd.to_array(place);
         for axis in 0..3 {
             // The cast saturates, and takes NaN to 0.
-            let bin = (place[axis] as i32).clamp(0, FINE_BIN_COUNT as i32 - 1) as usize;
+            let bin = (place[axis] as i32).clamp(0, BINS as i32 - 1) as usize;
             counts[axis][bin] += 1;
             bins[axis][bin] = simd.min(primitive, bins[axis][bin]);
         }
     }
     let mut best = [(f32::INFINITY, 0usize); 3];
     for axis in 0..3 {
-        let mut above = [0.0f32; FINE_BIN_COUNT];
+        let mut above = [0.0f32; BINS];
         let (mut merged, mut count) = (empty, 0);
-        for border in (1..FINE_BIN_COUNT).rev() {
+        for border in (1..BINS).rev() {
             merged = simd.min(bins[axis][border], merged);
             count += counts[axis][border];
             above[border] = half_area(&simd.to_array(merged)) * count as f32;
         }
         (merged, count) = (empty, 0);
-        for border in 1..FINE_BIN_COUNT {
+        for border in 1..BINS {
             merged = simd.min(bins[axis][border - 1], merged);
             count += counts[axis][border - 1];
             let cost = half_area(&simd.to_array(merged)) * count as f32 + above[border];
@@ -183,14 +186,17 @@ mod tests {
         assert_eq!(mask, 1);
         assert!(plane[0] > 7.0 && plane[0] < 201.0);
         let bounds = [0.0, 0.0, 0.0, 0.0, -101.0, -1.0, -1.0, 0.0];
-        let (planes, mask) = octant_planes(Portable, &boxes, &bounds, &centers, 3).unwrap();
-        assert_eq!(mask, 1);
-        assert!(planes[0] > 7.0 && planes[0] < 201.0);
+        let at_once = octant_planes::<_, BIN_COUNT_AT_ONCE>(Portable, &boxes, &bounds, &centers, 3).unwrap();
+        let one = octant_planes::<_, BIN_COUNT_ONE>(Portable, &boxes, &bounds, &centers, 1).unwrap();
+        for (planes, mask) in [at_once, one] {
+            assert_eq!(mask, 1);
+            assert!(planes[0] > 7.0 && planes[0] < 201.0);
+        }
         let one_place = [1.0, 1.0, 1.0, 0.0, -1.0, -1.0, -1.0, 0.0];
         let (planes, mask) = middle_planes(&centers, 3).unwrap();
         assert_eq!((mask, planes[0]), (1, 101.0));
         assert_eq!(middle_planes(&one_place, 3), None);
-        assert_eq!(octant_planes(Portable, &[boxes[0]; 9], &boxes[0], &one_place, 3), None);
+        assert_eq!(octant_planes::<_, 8>(Portable, &[boxes[0]; 9], &boxes[0], &one_place, 3), None);
         assert_eq!(best_plane(&boxes[..1], &[1.0, 1.0, 1.0, 0.0, -1.0, -1.0, -1.0, 0.0]), None);
     }
 }

@@ -13,9 +13,9 @@ use outcrop::units::{Bytes, MaterialId};
 use crate::embree::{Embree, Mode};
 use crate::engine::Engine;
 use crate::mesh::Mesh;
+use crate::numbers::Random;
 use crate::obvhs_engine::Obvhs;
 use crate::outcrop_engine::{Outcrop, open};
-use crate::numbers::Random;
 use crate::rays::{Rays, trace_closest};
 
 /// The sphere keeps some detail in f32 at the farthest translation, where neighbouring floats are 1 apart.

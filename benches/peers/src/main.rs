@@ -47,7 +47,7 @@ use lexopt::prelude::*;
 
 use engine::Engine;
 use mesh::Mesh;
-use outcrop::octree::Tier;
+use outcrop::octree::{OctreeOptions, Tier, TreeQuality};
 use outcrop::units::Bytes;
 
 const USAGE: &str = "\
@@ -120,7 +120,8 @@ fn run(arguments: &Arguments) -> Result<(), String> {
     {
         return whole::job(&name.to_string_lossy(), model, output, compiled);
     }
-    if let ("alone", [model, compiled, kind, rest @ ..]) = (arguments.command.as_str(), arguments.paths.as_slice())
+    if let ("alone", [model, compiled, kind, rest @ ..]) =
+        (arguments.command.as_str(), arguments.paths.as_slice())
     {
         let tier = match rest {
             [] => Tier::Certified,
@@ -152,8 +153,13 @@ fn compare_rates(arguments: &Arguments, model: &std::path::Path) -> Result<(), S
     let report = build("outcrop: compile", || outcrop_engine::compile(model, &compiled, Bytes::mib(512)))?;
     println!("outcrop: {} blocks, {:.2} bytes per triangle", report.blocks, report.bytes_per_triangle);
     // Room for every block.
-    let open = |tier| outcrop_engine::open(&compiled, Bytes(16 << 30), tier);
-    let (certified, fast) = (open(Tier::Certified)?, open(Tier::Fast)?);
+    let open = |tier, quality| {
+        let options = OctreeOptions { tier, quality, ..OctreeOptions::default() };
+        outcrop_engine::open_with(&compiled, Bytes(16 << 30), options)
+    };
+    let certified = open(Tier::Certified, TreeQuality::Best)?;
+    let finest = open(Tier::Certified, TreeQuality::Finest)?;
+    let fast = open(Tier::Fast, TreeQuality::Best)?;
     let wanted = |name: &str| !arguments.without.iter().any(|without| name.contains(without.as_str()));
     let mut engines: Vec<Box<dyn Engine + '_>> = Vec::new();
     for mode in [
@@ -170,7 +176,11 @@ fn compare_rates(arguments: &Arguments, model: &std::path::Path) -> Result<(), S
     if wanted("obvhs") {
         engines.push(Box::new(build("obvhs", || Ok(obvhs_engine::Obvhs::new(&mesh)))?));
     }
-    for (name, octree) in [("outcrop certified", &certified), ("outcrop fast", &fast)] {
+    for (name, octree) in [
+        ("outcrop certified", &certified),
+        ("outcrop certified, finest trees", &finest),
+        ("outcrop fast", &fast),
+    ] {
         engines.push(Box::new(outcrop_engine::Outcrop::new(name, octree)?));
     }
     let settings = rates::Settings {
