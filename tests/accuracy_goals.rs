@@ -439,6 +439,7 @@ fn senseless_goals_and_foreign_knobs_are_refused() {
         error(f64::NAN),
         GoalOptions::new(Goal::MaxTime(Duration::ZERO)),
         GoalOptions { confidence: 1.0, ..exact },
+        GoalOptions { confidence: 1.0 - 1e-10, ..exact },
         GoalOptions { samples_max: 3, ..exact },
         GoalOptions { vertex_error: Some(-1.0), ..exact },
     ] {

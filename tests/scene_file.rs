@@ -241,6 +241,7 @@ fn misspelt_keys_are_errors_with_their_line() {
 fn senseless_values_are_errors_with_line_and_key() {
     let line_of = |text: &str, part: &str| 1 + text[..text.find(part).unwrap()].matches('\n').count() as u64;
     let cases = [
+        ("file = \"floor.obj\"", "file = \"\"", "[[model]]\nfile = \"\"", "model[1]"),
         ("scale = 2", "scale = 0", "[[model.place]]", "model[0].place[0]"),
         ("scale = 2", "scale = [1, 2]", "scale", "model[0].place[0].scale"),
         ("axis = [1, 0, 0]", "axis = [0, 0, 0]", "[[model.place]]", "model[0].place[0]"),

@@ -325,6 +325,12 @@ impl Options {
         self.memory = given.memory.unwrap_or(self.memory);
         self.settings.waiting = self.waiting.unwrap_or(self.settings.waiting);
         self.settings.loader_threads = self.loaders;
+        if self.lazy && self.source != SourceKind::Disk {
+            return Err(
+                "--lazy reads what it keeps in its working file with --source disk; leave --source out"
+                    .into(),
+            );
+        }
         if self.compile_only {
             if self.lazy {
                 return Err("--lazy and --compile-only: a lazy compile only does what a picture needs; give one of them".into());

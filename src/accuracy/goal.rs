@@ -29,7 +29,7 @@ pub enum Goal {
 pub struct GoalOptions {
     /// What is wanted.
     pub goal: Goal,
-    /// Confidence of what is estimated, above 0.5 and below 1.
+    /// Confidence of what is estimated, above 0.5 and not above 1 - 1e-9.
     pub confidence: f64,
     /// Most samples that a pixel may get; a power of two, at least 4. Not used by [`Goal::Exact`].
     pub samples_max: u32,
@@ -40,6 +40,9 @@ pub struct GoalOptions {
     /// microseconds for each pixel, as long as a few rays.
     pub every_metric: bool,
 }
+
+/// Nearer to 1, what is left of 1 goes into quantiles with few digits, and leaves the range where they are divided among pixels.
+const CONFIDENCE_MAX: f64 = 1.0 - 1e-9;
 
 impl GoalOptions {
     /// `goal` at 95 % confidence with up to 4096 samples per pixel.
@@ -67,9 +70,9 @@ impl GoalOptions {
             Goal::Exact => {}
         }
         check(
-            self.confidence > 0.5 && self.confidence < 1.0,
+            self.confidence > 0.5 && self.confidence <= CONFIDENCE_MAX,
             "confidence",
-            "it must lie above 0.5 and below 1",
+            "it must lie above 0.5 and not above 1 - 1e-9",
         )?;
         check(
             self.samples_max.is_power_of_two() && self.samples_max >= FIRST_SAMPLES,

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::light::POSITION_MAX;
 use super::sphere::disc_point;
 use crate::error::RenderError;
 use crate::geom::Ray;
@@ -20,14 +21,14 @@ impl Lens {
     /// Says what is wrong with the lens, if anything is.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] if a number is not finite or out of its range.
+    /// [`RenderError::Setting`] if a number is not finite, beyond 1e150, or out of its range.
     pub fn validate(&self) -> Result<(), RenderError> {
         let error = |reason: &str| Err(RenderError::Setting { what: "lens", reason: reason.to_string() });
-        if !(self.radius >= 0.0 && self.radius.is_finite()) {
-            return error("its radius must be finite and not negative");
+        if !(self.radius >= 0.0 && self.radius <= POSITION_MAX) {
+            return error("its radius must not be negative, nor beyond 1e150");
         }
-        if !(self.focus_distance > 0.0 && self.focus_distance.is_finite()) {
-            return error("its focus distance must be finite and positive");
+        if !(self.focus_distance > 0.0 && self.focus_distance <= POSITION_MAX) {
+            return error("its focus distance must be positive, and not beyond 1e150");
         }
         Ok(())
     }
@@ -74,7 +75,9 @@ mod tests {
     #[test]
     fn senseless_lenses_are_refused_and_a_pinhole_is_one() {
         let camera = Camera::pinhole([0.0, 0.0, 5.0], [0.0; 3], [0.0, 1.0, 0.0], 60.0).unwrap();
-        for (radius, focus_distance) in [(-1.0, 1.0), (f64::NAN, 1.0), (1.0, 0.0), (1.0, f64::INFINITY)] {
+        for (radius, focus_distance) in
+            [(-1.0, 1.0), (f64::NAN, 1.0), (1e151, 1.0), (1.0, 0.0), (1.0, 1e151), (1.0, f64::INFINITY)]
+        {
             assert!(camera.with_lens(Lens { radius, focus_distance }).is_err(), "{radius} {focus_distance}");
         }
         let flat = Camera::orthographic([0.0, 0.0, 5.0], [0.0; 3], [0.0, 1.0, 0.0], 2.0).unwrap();

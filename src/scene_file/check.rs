@@ -29,7 +29,7 @@ pub(super) fn check(document: &Document, folder: &Path) -> Checked<SceneFile> {
         return Err(Refused { at: 0..0, key: "model".to_string(), reason });
     }
     let models = document.model.iter().enumerate();
-    let models = models.map(|(index, table)| model(index, table.get_ref(), folder));
+    let models = models.map(|(index, table)| model(index, table, folder));
     let finishes = document.finish.iter().map(|(name, table)| finish(name, table));
     let (settings, memory, output) = match &document.settings {
         Some(table) => settings(table, folder)?,
@@ -47,9 +47,14 @@ pub(super) fn check(document: &Document, folder: &Path) -> Checked<SceneFile> {
     })
 }
 
-fn model(index: usize, table: &ModelTable, folder: &Path) -> Checked<SceneModel> {
+fn model(index: usize, table: &Spanned<ModelTable>, folder: &Path) -> Checked<SceneModel> {
+    let key = format!("model[{index}]");
+    if table.get_ref().file.as_os_str().is_empty() {
+        return Err(Refused::new(table, key, "`file` is empty; name the model's file"));
+    }
+    let table = table.get_ref();
     let places = table.place.iter().enumerate();
-    let places = places.map(|(number, table)| place(table, format!("model[{index}].place[{number}]")));
+    let places = places.map(|(number, table)| place(table, format!("{key}.place[{number}]")));
     Ok(SceneModel { file: folder.join(&table.file), places: places.collect::<Checked<_>>()? })
 }
 
