@@ -14,13 +14,12 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use outcrop::cluster::{
-    Coordinator, CoordinatorOptions, Job, RemoteOptions, RoleOptions, WorkerOptions, model_key,
-    run_coordinator, run_worker,
+    Coordinator, CoordinatorOptions, Job, RoleOptions, WorkerOptions, model_key, run_coordinator, run_worker,
 };
 use outcrop::compile::{CompileOptions, Control, compile_shape};
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::Gears;
-use outcrop::render::{Region, RenderSettings, Renderer, WaitingRays};
+use outcrop::render::{Region, RenderSettings, Renderer};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
 use outcrop::source::{DiskSource, PageCache};
@@ -254,17 +253,8 @@ fn worker(options: &Options, model: &Path) -> Result<(), Box<dyn Error>> {
     let control = TcpTransport::open(key.clone(), TcpOptions::connecting("worker"))?;
     let data: Arc<dyn Transport> = Arc::new(TcpTransport::open(key, TcpOptions::connecting("data"))?);
     let worker = WorkerOptions {
-        name: format!("worker {}", std::process::id()),
-        lanes: 1,
         file: Some(Arc::new(DiskSource::open_with(model, PageCache::Bypass)?)),
-        copy: None,
-        budget: MemoryBudget::new(MEMORY),
-        octree: OctreeOptions::default(),
-        remote: RemoteOptions::default(),
-        waiting: WaitingRays::Never,
-        loader_threads: 0,
-        roles: RoleOptions::default(),
-        patience: Duration::from_secs(60),
+        ..WorkerOptions::new(format!("worker {}", std::process::id()), MemoryBudget::new(MEMORY))
     };
     let before = processor_seconds()?;
     let address = options.connect.as_deref().ok_or("--connect")?;

@@ -10,8 +10,8 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use outcrop::cluster::{
-    Checkpoint, Coordinator, CoordinatorOptions, CopyOptions, HostRole, Job, Reader, RemoteOptions,
-    RoleOptions, WorkerOptions, model_key, run_coordinator, run_reader, run_worker,
+    Checkpoint, Coordinator, CoordinatorOptions, CopyOptions, HostRole, Job, Reader, RoleOptions,
+    WorkerOptions, model_key, run_coordinator, run_reader, run_worker,
 };
 use outcrop::compile::{CompileOptions, Control, compile_shape};
 use outcrop::model::Model;
@@ -324,17 +324,13 @@ pub fn work(
         None => None,
     };
     let worker = WorkerOptions {
-        name,
         lanes: options.lanes,
         file,
         copy,
-        budget: MemoryBudget::new(memory),
-        octree: OctreeOptions::default(),
-        remote: RemoteOptions::default(),
         waiting: options.waiting,
         loader_threads: options.loaders,
-        roles: RoleOptions::default(),
         patience: options.patience,
+        ..WorkerOptions::new(name, MemoryBudget::new(memory))
     };
     let mut log = |line: &str| {
         if options.verbose {

@@ -8,17 +8,18 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::block_client::{RemoteCounters, RemoteOptions};
+use super::Action;
+use super::block_client::RemoteCounters;
 use super::checkpoint::Checkpoint;
 use super::coordinator::{Coordinator, CoordinatorError};
-use super::file_copy::{CopyCounters, CopyOptions, FileCopy};
+use super::file_copy::{CopyCounters, FileCopy};
 use super::message::Job;
 use super::model_file::model_key;
 use super::reader::{Reader, ReaderCounters};
 use super::reconnect::Reconnect;
 use super::remote_source::RemoteSource;
 use super::worker::{Worker, WorkerAction, WorkerCounters, WorkerEvent};
-use super::{Action, RoleOptions};
+use super::worker_options::WorkerOptions;
 use crate::budget::{MemoryBudget, Reservation};
 use crate::compile::Control;
 use crate::error::{RenderError, SourceError, TransportError};
@@ -228,35 +229,6 @@ pub fn run_reader(
         }
     }
     Ok(reader.counters())
-}
-
-/// What can be chosen about a worker.
-#[derive(Clone)]
-pub struct WorkerOptions {
-    /// What it calls itself to others.
-    pub name: String,
-    /// Threads that render.
-    pub lanes: u16,
-    /// The compiled model, if this node has it. Readers are asked first where there are any.
-    pub file: Option<Arc<dyn BlockSource>>,
-    /// If it does not have the model: where it makes itself a copy of the file, from the readers, while it renders. Its blocks come
-    /// from there once the copy is complete. Without room for one it does without.
-    pub copy: Option<CopyOptions>,
-    /// All memory of the worker.
-    pub budget: MemoryBudget,
-    /// How the octree is opened; as many tracers as lanes.
-    pub octree: OctreeOptions,
-    /// How readers are asked.
-    pub remote: RemoteOptions,
-    /// Whether rays wait for blocks that are not resident, all lanes together; see [`RenderSettings::waiting`]. Does not show.
-    pub waiting: WaitingRays,
-    /// Threads beside the lanes that load blocks while rays wait for them: readers are asked for as many blocks at one time. See
-    /// [`RenderSettings::loader_threads`].
-    pub loader_threads: u32,
-    /// Heartbeats.
-    pub roles: RoleOptions,
-    /// How long it tries to reach a coordinator, or waits for a reader, before it gives up.
-    pub patience: Duration,
 }
 
 /// What a worker did.
@@ -775,16 +747,6 @@ fn work(counters: &TraceCounters) -> f64 {
         + 15.0 * counters.box_tests as f64
         + 2.0 * counters.triangle_tests as f64
         + 30.0 * counters.decisions as f64
-}
-
-impl std::fmt::Debug for WorkerOptions {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("WorkerOptions")
-            .field("name", &self.name)
-            .field("lanes", &self.lanes)
-            .field("octree", &self.octree)
-            .finish_non_exhaustive()
-    }
 }
 
 #[cfg(test)]

@@ -22,6 +22,7 @@ mod reader;
 mod reconnect;
 mod remote_source;
 mod worker;
+mod worker_options;
 
 use std::time::Duration;
 
@@ -32,7 +33,7 @@ pub use checkpoint::{Checkpoint, Record};
 pub use coordinator::{
     Coordinator, CoordinatorCounters, CoordinatorError, CoordinatorOptions, LaneInfo, Span, map_colour,
 };
-pub use drive::{NodeError, WorkerOptions, WorkerReport, run_coordinator, run_reader, run_worker};
+pub use drive::{NodeError, WorkerReport, run_coordinator, run_reader, run_worker};
 pub use file_copy::{CopyCounters, CopyError, CopyOptions, FileCopy};
 pub use hosts::{HostRole, Hosts, HostsError};
 pub use message::{
@@ -43,6 +44,7 @@ pub use model_file::{ModelFile, model_key, readers_of};
 pub use reader::{Reader, ReaderCounters};
 pub use remote_source::RemoteSource;
 pub use worker::{Worker, WorkerAction, WorkerCounters, WorkerEvent};
+pub use worker_options::WorkerOptions;
 
 /// What a role wants done.
 #[derive(Clone, Debug, PartialEq)]

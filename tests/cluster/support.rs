@@ -7,7 +7,7 @@ use outcrop::cluster::{CoordinatorOptions, Job, RemoteOptions, RoleOptions, Work
 use outcrop::compile::{CompileOptions, Control, Threads};
 use outcrop::octree::OctreeOptions;
 use outcrop::procedural::{Gears, Tessellation};
-use outcrop::render::{RenderSettings, Renderer, WaitingRays};
+use outcrop::render::{RenderSettings, Renderer};
 use outcrop::scene::{Camera, Light, Scene};
 use outcrop::schedule::SchedulerOptions;
 use outcrop::source::MemorySource;
@@ -70,16 +70,11 @@ pub fn coordinator_options(workers: u32, readers: usize) -> CoordinatorOptions {
 
 pub fn worker_options(name: &str, lanes: u16, file: Option<Arc<dyn BlockSource>>) -> WorkerOptions {
     WorkerOptions {
-        name: name.to_owned(),
         lanes,
         file,
-        copy: None,
-        budget: MemoryBudget::new(Bytes::mib(64)),
         octree: OctreeOptions { slots_max: Some(24), ..OctreeOptions::default() },
         remote: RemoteOptions { retry_after: Duration::from_millis(300), ..RemoteOptions::default() },
-        waiting: WaitingRays::Never,
-        loader_threads: 0,
         roles: quick_roles(),
-        patience: Duration::from_secs(60),
+        ..WorkerOptions::new(name, MemoryBudget::new(Bytes::mib(64)))
     }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::access::BlockSketch;
-use crate::cluster::{LeasedCells, Message};
+use crate::cluster::{LeasedCells, Message, RoleOptions};
 use crate::scene::{Camera, Scene};
 use crate::transport::LocalNetwork;
 use crate::units::Bytes;
@@ -14,19 +14,7 @@ fn a_worker_that_gets_no_thread_says_so() {
         let network = LocalNetwork::new();
         let control = network.open("worker");
         let data: Arc<dyn Transport> = Arc::new(network.open("data"));
-        let options = WorkerOptions {
-            name: "worker".to_owned(),
-            lanes: 1,
-            file: None,
-            copy: None,
-            budget: MemoryBudget::new(Bytes::mib(64)),
-            octree: OctreeOptions::default(),
-            remote: RemoteOptions::default(),
-            waiting: WaitingRays::Never,
-            loader_threads: 0,
-            roles: RoleOptions::default(),
-            patience: Duration::from_secs(60),
-        };
+        let options = WorkerOptions::new("worker", MemoryBudget::new(Bytes::mib(64)));
         let stop = AtomicBool::new(false);
         let result = run_worker(&control, &data, "coordinator", &options, &stop, &mut |_| {});
         assert!(matches!(result, Err(NodeError::CannotRender { .. })), "{result:?}");
