@@ -60,11 +60,12 @@ impl PoolOptions {
 ///
 /// A ray that reaches a block which is not resident looks at those behind it that are, which may be gone later, and is put aside,
 /// without a pin, until that block is loaded. Blocks are loaded in turn, in the order of the file (or, if many of them are in memory at
-/// once, to and fro by planes through the model), those for which little waits in a later turn. What waits for a block then runs, unless room is short ([`PoolOptions::children`]). There are no
-/// rounds: rays may be added at any time, and so can those that answers lead to.
+/// once, to and fro by planes through the model), those for which little waits in a later turn. What waits for a block then runs,
+/// unless room is short ([`PoolOptions::children`]). There are no rounds: rays may be added at any time, and so can those that answers
+/// lead to.
 ///
-/// Answers are those of a [`Tracer`], whatever the pool's size and order, in the tiers `Certified` and `Exact` (I2). When the pool is full, rays load what
-/// they need, depth first: nothing fails and nothing grows.
+/// Answers are those of a [`Tracer`], whatever the pool's size and order, in the tiers `Certified` and `Exact` (I2). When the pool is full,
+/// rays load what they need, depth first: nothing fails and nothing grows.
 ///
 /// A pool from [`LazyOctree::ray_pool`] loads blocks on its own thread and traces nothing meanwhile. One from
 /// [`BlockLoader::ray_pool`] has the loader load them, and traces on as long as there is anything to trace.

@@ -183,7 +183,7 @@ impl<'e> Stack<'e> {
         }
     }
 
-    /// Pushes those of the children in `hits` that come after `child` in sorted order, nearest last, and `child` itself if `too`.
+    /// Pushes those of the children in `hits` that come after `child` in sorted order, nearest last, and `child` itself if `including`.
     #[inline(always)]
     fn push_sorted_from<S: Simd>(
         &mut self,
@@ -192,7 +192,7 @@ impl<'e> Stack<'e> {
         near: S::F,
         hits: u32,
         child: Child,
-        too: bool,
+        including: bool,
     ) {
         let near = simd.to_array(near);
         let lane = children.iter().position(|other| *other == child).unwrap_or(0);
@@ -203,7 +203,7 @@ impl<'e> Stack<'e> {
         while hits != 0 {
             let new = entry(children, &near, hits);
             hits &= hits - 1;
-            if new < passed || (new == passed && !too) {
+            if new < passed || (new == passed && !including) {
                 continue;
             }
             let mut place = self.len;
