@@ -128,7 +128,7 @@ pub fn run(model: &Path, repetitions: usize) -> Result<(), String> {
     let mut runs = [const { Vec::new() }; JOBS.len()];
     for _ in 0..repetitions {
         for (runs, (name, _)) in runs.iter_mut().zip(JOBS) {
-            for file in [model, &compiled, &LazyModel::working_path(&lazy_output(&compiled))] {
+            for file in [model, &compiled, &LazyModel::working_path(lazy_output(&compiled))] {
                 forget(file);
             }
             runs.push(child(name, model, &output(name), &compiled)?);
