@@ -58,6 +58,12 @@ fn ask_any(pool: &mut RayPool<'_>, ray: Ray, on_missing: OnMissing, answers: &mu
     pool.occluded(&[AnyRequest { ray, tag: 0 }], on_missing, answers).unwrap();
 }
 
+/// Runs what waits to its end; the one answer.
+fn hit_at_the_end(pool: &mut RayPool<'_>, answers: &mut Answers) -> Option<Hit> {
+    while pool.resume(answers).unwrap() {}
+    hit_of(answers)
+}
+
 fn hit_of(answers: &mut Answers) -> Option<Hit> {
     assert_eq!(answers.hits.len(), 1);
     answers.hits.pop().unwrap().1
@@ -81,8 +87,7 @@ fn what_was_there_need_not_be_there_again() {
         assert!(hit_of(&mut answers).is_some());
     }
     assert_eq!(pool.counters().blocks_loaded, 3);
-    while pool.resume(&mut answers).unwrap() {}
-    let hit = hit_of(&mut answers).unwrap();
+    let hit = hit_at_the_end(&mut pool, &mut answers).unwrap();
     assert_eq!((hit.t, hit.triangle), (3.0, TriangleId(2 * TRIANGLES as u64)));
     // The two gates, once each. Nothing behind the wall was waited for.
     assert_eq!(pool.counters().blocks_loaded, 5);
@@ -95,8 +100,7 @@ fn what_lies_behind_a_hit_is_not_loaded() {
     let mut pool = octree.ray_pool(PoolOptions::default()).unwrap();
     let mut answers = Answers::with_capacity(1);
     ask(&mut pool, down(), WAIT, &mut answers);
-    while pool.resume(&mut answers).unwrap() {}
-    assert_eq!(hit_of(&mut answers).unwrap().t, 2.0);
+    assert_eq!(hit_at_the_end(&mut pool, &mut answers).unwrap().t, 2.0);
     assert_eq!(pool.counters().blocks_loaded, 2);
 }
 
@@ -116,8 +120,7 @@ fn lists_may_be_longer_than_their_room() {
                     let mut pool = octree.ray_pool(options).unwrap();
                     let mut answers = Answers::with_capacity(1);
                     ask(&mut pool, down(), WAIT, &mut answers);
-                    while pool.resume(&mut answers).unwrap() {}
-                    let hit = hit_of(&mut answers);
+                    let hit = hit_at_the_end(&mut pool, &mut answers);
                     assert_eq!(hit.map(|hit| hit.t), ends_with_wall.then_some(gates as f64 + 1.0));
                     if suspended == 1 {
                         assert_eq!(pool.counters().blocks_loaded, gates as u64 + 1, "{gates}, {slots} slots");
@@ -145,8 +148,7 @@ fn a_hit_before_the_place_where_a_list_was_full_ends_the_ray() {
         ask(&mut pool, up_to(wall), OnMissing::Load, &mut answers);
         hit_of(&mut answers);
         ask(&mut pool, down(), WAIT, &mut answers);
-        while pool.resume(&mut answers).unwrap() {}
-        assert_eq!(hit_of(&mut answers).unwrap().t, wall as f64 + 1.0);
+        assert_eq!(hit_at_the_end(&mut pool, &mut answers).unwrap().t, wall as f64 + 1.0);
         let loads = pool.counters().blocks_loaded;
         assert!(loads <= wall as u64 + 2, "{loads} loads, wall {wall}");
     }
@@ -168,8 +170,7 @@ fn a_missing_block_may_hold_the_same_hit_with_a_lower_number() {
             let after = (resident == 1).then_some((1.0, TriangleId(0)));
             let request = ClosestRequest { ray: down(), after, tag: 0 };
             pool.closest_hits(&[request], OnMissing::Wait { weight: 1 }, &mut answers).unwrap();
-            while pool.resume(&mut answers).unwrap() {}
-            assert_eq!(hit_of(&mut answers).unwrap().triangle, TriangleId(resident));
+            assert_eq!(hit_at_the_end(&mut pool, &mut answers).unwrap().triangle, TriangleId(resident));
         }
         // One resident, whichever came last into a single slot.
         let octree = open(&source, 1);
@@ -177,8 +178,7 @@ fn a_missing_block_may_hold_the_same_hit_with_a_lower_number() {
         let mut answers = Answers::with_capacity(1);
         for _ in 0..3 {
             ask(&mut pool, down(), WAIT, &mut answers);
-            while pool.resume(&mut answers).unwrap() {}
-            let hit = hit_of(&mut answers).unwrap();
+            let hit = hit_at_the_end(&mut pool, &mut answers).unwrap();
             assert_eq!((hit.t, hit.triangle), (1.0, TriangleId(0)));
             assert!(octree.cache().stats().misses >= 2);
         }

@@ -4,7 +4,7 @@ use super::closest::{Prepared, Work, lanes_in_use};
 use super::exact::{ExactRay, RayError};
 use super::policy::{Candidate, Policy};
 use super::stack::{Limit, Stack};
-use super::unvisited::UnvisitedAny;
+use super::unvisited::{Next, UnvisitedAny};
 use super::{MaterialSet, Occlusion};
 use crate::geom::Ray;
 use crate::octree::{Child, Fine, LocalRay, QueryRay, RayGroup, Reached, TriangleLocation, splat_interval};
@@ -52,18 +52,7 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
-    // The blocks of the list come first, as leaves of a tree of their own, then the coarse tree's.
-    let mut listed = 0;
-    let mut child = Child::COARSE_ROOT;
-    if is_resumed {
-        listed = unvisited.take();
-        if listed > 0 {
-            child = Child::block(unvisited.taken(0).0);
-        }
-    } else {
-        unvisited.begin();
-    }
-    let mut next_listed = 1;
+    let (mut child, mut listed) = unvisited.begin(is_resumed);
     loop {
         work.counters.box_tests += 1;
         if child.is_leaf() {
@@ -124,20 +113,16 @@ pub(super) fn occlusion<S: Simd, P: Policy>(
                 continue;
             }
         }
-        if next_listed < listed {
-            // What is kept goes to places that were read already.
-            child = Child::block(unvisited.taken(next_listed).0);
-            next_listed += 1;
-            continue;
-        }
-        if listed > 0 {
-            listed = 0;
-            match unvisited.stopped_at.take() {
-                Some(block) => {
-                    stack.return_to(simd, coarse, block, &any.local.test.boxes, &any.outer);
-                }
-                None => break,
+        match listed.next(unvisited) {
+            Next::Listed(block) => {
+                child = block;
+                continue;
             }
+            Next::Stopped(block) => {
+                stack.return_to(simd, coarse, block, &any.local.test.boxes, &any.outer);
+            }
+            Next::Waiting => {}
+            Next::End => break,
         }
         child = stack.pop(Limit::NONE);
         if child == Child::NONE {

@@ -6,7 +6,7 @@ use super::keep::Keep;
 use super::load::{LoadScratch, Pins};
 use super::policy::{Candidate, Policy};
 use super::stack::{Entries, Limit, Stack};
-use super::unvisited::UnvisitedClosest;
+use super::unvisited::{Next, UnvisitedClosest};
 use crate::geom::{Ray, TriangleHit};
 use crate::octree::{
     Child, Fine, LazyOctree, LocalRay, QueryRay, RayGroup, Reached, TriangleLocation, splat_interval,
@@ -109,18 +109,7 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
     };
     work.exact.reset();
     let mut stack = Stack::new(work.stack);
-    // The blocks of the list come first, as leaves of a tree of their own, then the coarse tree's.
-    let mut listed = 0;
-    let mut child = Child::COARSE_ROOT;
-    if is_resumed {
-        listed = unvisited.take();
-        if listed > 0 {
-            child = Child::block(unvisited.taken(0).0);
-        }
-    } else {
-        unvisited.begin();
-    }
-    let mut next_listed = 1;
+    let (mut child, mut listed) = unvisited.begin(is_resumed);
     let mut box_tests = 0;
     loop {
         box_tests += 1;
@@ -200,18 +189,18 @@ pub(super) fn closest_hit<S: Simd, P: Policy, K: Keep>(
                 continue;
             }
         }
-        if next_listed < listed {
-            // What is kept goes to places that were read already.
-            child = Child::block(unvisited.taken(next_listed).0);
-            next_listed += 1;
-            continue;
-        }
-        if listed > 0 {
-            listed = 0;
-            let Some(block) = unvisited.stopped_at.take() else { break };
-            // By the whole ray, which meets that block; what lies behind hits that were found since then is not popped.
-            let whole = splat_interval(simd, closest.low, closest.query.local_high(ray.t_max));
-            stack.return_to(simd, coarse, block, &closest.local.test.boxes, &whole);
+        match listed.next(unvisited) {
+            Next::Listed(block) => {
+                child = block;
+                continue;
+            }
+            Next::Stopped(block) => {
+                // By the whole ray, which meets that block; what lies behind hits that were found since then is not popped.
+                let whole = splat_interval(simd, closest.low, closest.query.local_high(ray.t_max));
+                stack.return_to(simd, coarse, block, &closest.local.test.boxes, &whole);
+            }
+            Next::Waiting => {}
+            Next::End => break,
         }
         child = stack.pop(closest.limit);
         if child == Child::NONE {

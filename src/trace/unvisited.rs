@@ -1,9 +1,11 @@
 //! What a query that stopped for missing blocks has still to look at.
 
+use crate::octree::Child;
 use crate::units::BlockId;
 
-/// The missing blocks that a query has come to, in the order of its way, which is nearly that of distance, and where its way through the coarse tree stopped, if it did. The
-/// query has looked at all other blocks before that place that could matter: those that were there need not be there again.
+/// The missing blocks that a query has come to, in the order of its way, which is nearly that of distance, and where its way through
+/// the coarse tree stopped, if it did. The query has looked at all other blocks before that place that could matter: those that were
+/// there need not be there again.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Unvisited<const MAX: usize> {
     /// The first `count` are.
@@ -27,10 +29,16 @@ impl<const MAX: usize> Unvisited<MAX> {
     pub const UNSET: Unvisited<MAX> =
         Unvisited { blocks: [BlockId(0); _], count: 0, stopped_at: None, filtered: false };
 
-    /// Forgets the query before.
+    /// Begins a query, or goes on with the one that left this: gives where, and what is listed, to be looked at first, as leaves of a
+    /// tree of their own.
     #[inline(always)]
-    pub fn begin(&mut self) {
-        (self.count, self.stopped_at) = (0, None);
+    pub fn begin(&mut self, is_resumed: bool) -> (Child, Listed) {
+        if !is_resumed {
+            (self.count, self.stopped_at) = (0, None);
+        }
+        let count = self.take();
+        let child = if count > 0 { Child::block(self.taken(0).0) } else { Child::COARSE_ROOT };
+        (child, Listed { count, next: 1 })
     }
 
     /// The missing blocks.
@@ -68,6 +76,43 @@ impl<const MAX: usize> Unvisited<MAX> {
                 true
             }
             None => false,
+        }
+    }
+}
+
+/// What was listed when a query went on, while it is looked at once more.
+pub(super) struct Listed {
+    count: u32,
+    next: u32,
+}
+
+/// What a query comes to behind a leaf.
+pub(super) enum Next {
+    /// A block that was listed.
+    Listed(Child),
+    /// The place where the way through the coarse tree stopped, which goes on there.
+    Stopped(BlockId),
+    /// What waits on its stack.
+    Waiting,
+    /// Nothing more.
+    End,
+}
+
+impl Listed {
+    /// Goes on. What is still missing was pushed to `unvisited`, to places that were read already.
+    #[inline(always)]
+    pub fn next<const MAX: usize>(&mut self, unvisited: &mut Unvisited<MAX>) -> Next {
+        if self.next < self.count {
+            let block = unvisited.taken(self.next);
+            self.next += 1;
+            return Next::Listed(Child::block(block.0));
+        }
+        if std::mem::take(&mut self.count) == 0 {
+            return Next::Waiting;
+        }
+        match unvisited.stopped_at.take() {
+            Some(block) => Next::Stopped(block),
+            None => Next::End,
         }
     }
 }
